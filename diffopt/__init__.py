@@ -1,0 +1,1 @@
+"""Differentiable optics in JAX."""

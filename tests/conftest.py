@@ -1,0 +1,39 @@
+"""Settings of the whole suite.
+
+The suite runs with 64-bit types on (each test picks its dtype); with
+``DIFFOPT_TEST_X64=0`` it runs as most users do, without them, and everything that
+asks for float64 is left out.
+"""
+
+import os
+
+import jax
+import pytest
+
+X64 = os.environ.get("DIFFOPT_TEST_X64", "1") != "0"
+jax.config.update("jax_enable_x64", X64)
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+jax.config.update("jax_numpy_rank_promotion", "raise")
+
+DTYPES = ("float32", "float64") if X64 else ("float32",)
+
+
+def pytest_generate_tests(metafunc):
+    if "dtype" in metafunc.fixturenames:
+        metafunc.parametrize("dtype", DTYPES)
+
+
+def pytest_collection_modifyitems(config, items):
+    """Without 64-bit types only what is marked float32, or asks for a dtype, can run."""
+    if X64:
+        return
+    kept = [i for i in items if "dtype" in i.fixturenames or i.get_closest_marker("float32")]
+    config.hook.pytest_deselected(items=[i for i in items if i not in kept])
+    items[:] = kept
+
+
+@pytest.fixture
+def rng():
+    import numpy as np
+
+    return np.random.default_rng(20140113)
