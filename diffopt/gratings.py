@@ -1,0 +1,294 @@
+"""Gratings with closed-form orders: sinusoidal, blazed and binary.
+
+Parameters are array leaves, so that fits can act on them. All profiles vary along x and
+repeat with ``period``. With u = -(sin(theta_i) + sin(theta_o)) the orders lie at
+u = -m wavelength / period, and their complex amplitudes are
+
+    c_m = (1 / period) * integral over one period of exp(i kappa h(x) - 2 pi i m x / period) dx,
+
+with kappa = 2 pi w / wavelength and w = -(cos(theta_i) + cos(theta_o)) of that order: the
+scalar (Kirchhoff) amplitudes, before reflectance and the geometric factor. All three follow
+from the integral; the sinusoid's is Jacobi-Anger's expansion (Goodman, Introduction to
+Fourier Optics, 3rd edition, section 4.4.4), the others are sinc functions.
+
+Derivatives: the order amplitudes are differentiable in every parameter. So are the sampled
+heights of the sinusoid. The jumps of the blazed and binary profiles have no derivative on a
+grid: with ``edges="sharp"`` their heights have the right derivative in depth only, and those in
+period, shift and duty miss the moving jump. With ``edges="averaged"`` each sample is the mean
+over its pixel, and all derivatives are there.
+"""
+
+import abc
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float, Int
+
+from diffopt.errors import InputError
+from diffopt.heightfield import Heightfield, Number, Provenance
+from diffopt.io.record import pair
+
+# Nodes of the quadrature for J_m; the error is the sum of J_(m +- 512 k)(z), below 1e-16
+# where |m| + |z| is below _BESSEL_REACH (J_312(200) = 4e-20).
+_BESSEL_NODES = 512
+_BESSEL_REACH = 400.0
+
+
+def bessel_j(order: int | Int[Array, "..."], z: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Bessel function J_m(z) of integer order, for abs(m) + abs(z) below 400.
+
+    The mean of cos(z sin t - m t) over equally spaced t (Bessel's integral, DLMF 10.9.2, by the
+    trapezoid rule, which converges faster than any power on periodic functions). Absolute
+    error a few rounding units; differentiable in z to all orders.
+
+    Parameters
+    ----------
+    order
+        m, an integer or an array of the shape of ``z``.
+    z
+        Argument.
+
+    Raises
+    ------
+    RuntimeError
+        At run time, if an argument lies beyond that range.
+    """
+    m = jnp.asarray(order, z.dtype)
+    z = eqx.error_if(
+        z,
+        jnp.abs(m) + jnp.abs(z) >= _BESSEL_REACH,
+        f"bessel_j: |m| + |z| reaches {_BESSEL_REACH:g}, beyond which the quadrature fails",
+    )
+    m, z = jnp.broadcast_arrays(m, z)
+    t = jnp.asarray(2 * np.pi * np.arange(_BESSEL_NODES) / _BESSEL_NODES, z.dtype)
+    t = t.reshape((1,) * z.ndim + (_BESSEL_NODES,))
+    return jnp.mean(jnp.cos(z[..., None] * jnp.sin(t) - m[..., None] * t), axis=-1)
+
+
+class Grating(eqx.Module):
+    """What the gratings share: a period along x and sampling on a grid."""
+
+    period: eqx.AbstractVar[Float[Array, ""]]
+
+    def heights(
+        self,
+        shape: tuple[int, int],
+        pixel: Number | tuple[Number, Number],
+        *,
+        edges: str = "sharp",
+    ) -> Float[Array, "ny nx"]:
+        """Heights on a grid whose pixel (ny // 2, nx // 2) lies at x = 0.
+
+        Parameters
+        ----------
+        shape
+            (ny, nx).
+        pixel
+            (dy, dx), or one number for both, in micrometres.
+        edges
+            ``"sharp"`` samples the profile, ``"averaged"`` takes its mean over each pixel.
+
+        Raises
+        ------
+        InputError
+            If ``edges`` is another word.
+        """
+        ny, nx = shape
+        dx = pair(pixel, "pixel")[1]
+        x = (jnp.arange(nx, dtype=self.period.dtype) - nx // 2) * dx
+        if edges == "sharp":
+            line = self.profile(x)
+        elif edges == "averaged":
+            line = (self.integral(x + dx / 2) - self.integral(x - dx / 2)) / dx
+        else:
+            raise InputError(f"edges={edges!r}: expected 'sharp' or 'averaged'")
+        return jnp.broadcast_to(line, (ny, nx))
+
+    def heightfield(
+        self,
+        shape: tuple[int, int],
+        pixel: Number | tuple[Number, Number],
+        *,
+        edges: str = "sharp",
+    ) -> Heightfield:
+        """The heights of `heights` as a `Heightfield`."""
+        name = type(self).__name__.lower()
+        return Heightfield(
+            self.heights(shape, pixel, edges=edges),
+            pixel,
+            provenance=Provenance(f"{name} grating", steps=(f"{edges} samples",)),
+        )
+
+    def order_efficiency(
+        self, order: int | Int[Array, "..."], kappa: Float[Array, "..."]
+    ) -> Float[Array, "..."]:
+        """Squared modulus of `order_amplitude`: 1 in all orders together at one kappa."""
+        amplitude = self.order_amplitude(order, kappa)
+        return amplitude.real**2 + amplitude.imag**2
+
+    @abc.abstractmethod
+    def profile(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Height at x, both in micrometres."""
+
+    @abc.abstractmethod
+    def integral(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Antiderivative of the profile at x, in um^2."""
+
+    @abc.abstractmethod
+    def order_amplitude(
+        self, order: int | Int[Array, "..."], kappa: Float[Array, "..."]
+    ) -> Complex[Array, "..."]:
+        """Complex amplitude c_m of order m.
+
+        Parameters
+        ----------
+        order
+            m, an integer or an array of the shape of ``kappa``.
+        kappa
+            2 pi w / wavelength of that order, in 1/um; negative for reflection.
+        """
+
+
+class Sinusoidal(Grating):
+    """h(x) = amplitude cos(2 pi x / period + phase); c_m = i^m J_m(kappa amplitude) e^(i m phase).
+
+    Parameters
+    ----------
+    period
+        Micrometres, above 0.
+    amplitude
+        Micrometres; half of peak-to-valley.
+    phase
+        Radians.
+    """
+
+    period: Float[Array, ""]
+    amplitude: Float[Array, ""]
+    phase: Float[Array, ""]
+
+    def __init__(self, period: Any, amplitude: Any, phase: Any = 0.0):
+        self.period, self.amplitude, self.phase = _parameters(period, amplitude, phase)
+
+    def profile(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Height at x, both in micrometres."""
+        return self.amplitude * jnp.cos(2 * jnp.pi * x / self.period + self.phase)
+
+    def integral(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Antiderivative of the profile at x, in um^2."""
+        scale = self.amplitude * self.period / (2 * jnp.pi)
+        return scale * jnp.sin(2 * jnp.pi * x / self.period + self.phase)
+
+    def order_amplitude(
+        self, order: int | Int[Array, "..."], kappa: Float[Array, "..."]
+    ) -> Complex[Array, "..."]:
+        """Complex amplitude c_m; see `Grating.order_amplitude` and `bessel_j` for its range."""
+        turn = jnp.asarray(order, kappa.dtype) * (self.phase + jnp.pi / 2)
+        return bessel_j(order, kappa * self.amplitude) * _cis(turn)
+
+
+class Blazed(Grating):
+    """h(x) = depth frac(x / period - shift): teeth that rise along +x and fall in a jump.
+
+    c_m = sinc(q) e^(i pi q - 2 pi i m shift), q = kappa depth / (2 pi) - m, sinc normalised.
+
+    Parameters
+    ----------
+    period
+        Micrometres, above 0.
+    depth
+        Micrometres; negative for teeth that fall along +x.
+    shift
+        Position of a jump, in periods.
+    """
+
+    period: Float[Array, ""]
+    depth: Float[Array, ""]
+    shift: Float[Array, ""]
+
+    def __init__(self, period: Any, depth: Any, shift: Any = 0.0):
+        self.period, self.depth, self.shift = _parameters(period, depth, shift)
+
+    def profile(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Height at x, both in micrometres."""
+        return self.depth * _frac(x / self.period - self.shift)
+
+    def integral(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Antiderivative of the profile at x, in um^2."""
+        t = x / self.period - self.shift
+        whole, part = jnp.floor(t), _frac(t)
+        return self.depth * self.period * 0.5 * (whole + part**2)
+
+    def order_amplitude(
+        self, order: int | Int[Array, "..."], kappa: Float[Array, "..."]
+    ) -> Complex[Array, "..."]:
+        """Complex amplitude c_m; see `Grating.order_amplitude`."""
+        m = jnp.asarray(order, kappa.dtype)
+        q = kappa * self.depth / (2 * jnp.pi) - m
+        return jnp.sinc(q) * _cis(jnp.pi * q - 2 * jnp.pi * m * self.shift)
+
+
+class Binary(Grating):
+    """h(x) = depth on ridges of width duty * period, else 0; a ridge starts at shift * period.
+
+    c_m = delta_m0 + (e^(i kappa depth) - 1) duty sinc(m duty) e^(-i pi m (duty + 2 shift)).
+
+    Parameters
+    ----------
+    period
+        Micrometres, above 0.
+    depth
+        Height of the ridges in micrometres; negative for grooves.
+    duty
+        Share of the period that is ridge, 0 to 1.
+    shift
+        Position of the rising edge, in periods.
+    """
+
+    period: Float[Array, ""]
+    depth: Float[Array, ""]
+    duty: Float[Array, ""]
+    shift: Float[Array, ""]
+
+    def __init__(self, period: Any, depth: Any, duty: Any = 0.5, shift: Any = 0.0):
+        values = _parameters(period, depth, duty, shift)
+        self.period, self.depth, self.duty, self.shift = values
+
+    def profile(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Height at x, both in micrometres."""
+        ridge = _frac(x / self.period - self.shift) < self.duty
+        return jnp.where(ridge, self.depth, jnp.zeros_like(self.depth))
+
+    def integral(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Antiderivative of the profile at x, in um^2."""
+        t = x / self.period - self.shift
+        whole, part = jnp.floor(t), _frac(t)
+        return self.depth * self.period * (whole * self.duty + jnp.minimum(part, self.duty))
+
+    def order_amplitude(
+        self, order: int | Int[Array, "..."], kappa: Float[Array, "..."]
+    ) -> Complex[Array, "..."]:
+        """Complex amplitude c_m; see `Grating.order_amplitude`."""
+        m = jnp.asarray(order, kappa.dtype)
+        ridge = (
+            self.duty * jnp.sinc(m * self.duty) * _cis(-jnp.pi * m * (self.duty + 2 * self.shift))
+        )
+        return (m == 0).astype(kappa.dtype) + (_cis(kappa * self.depth) - 1) * ridge
+
+
+def _cis(angle: Float[Array, "..."]) -> Complex[Array, "..."]:
+    return jax.lax.complex(jnp.cos(angle), jnp.sin(angle))
+
+
+def _frac(t: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Fractional part, from the floor; the derivative is 1 everywhere."""
+    return t - jnp.floor(t)
+
+
+def _parameters(*values: Any) -> list[Float[Array, ""]]:
+    """Scalars as arrays of one floating-point type: that of the arrays among them."""
+    arrays = [v for v in values if hasattr(v, "dtype")]
+    dtype = jnp.result_type(*arrays) if arrays else jnp.result_type(float)
+    return [jnp.asarray(value, dtype) for value in values]

@@ -1,0 +1,115 @@
+"""NumPy files: bare arrays, and the project's own ``.npz`` with units and provenance."""
+
+import json
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from diffopt.errors import InputError
+from diffopt.io.files import one_line, replacing, require_signature
+from diffopt.io.record import Options, Record
+
+FORMAT = "diffopt heightfield"
+VERSION = 1
+
+
+def read_npy(path: Path, options: Options) -> Record:
+    """Read a ``.npy`` file holding one [ny, nx] array.
+
+    The file states neither unit nor pixel size: ``height_unit`` and ``pixel_size`` are
+    required.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, of another format, or not a real [ny, nx] array.
+    """
+    require_signature(path, (b"\x93NUMPY",), "a NumPy array file (.npy)")
+    options.refuse(path, "a .npy file has one channel", "channel")
+    options.refuse(path, "a .npy file holds numbers, not grey values", "height_range")
+    try:
+        heights = np.load(path, allow_pickle=False)
+    except (ValueError, EOFError, OSError) as error:
+        raise InputError(f"{path}: the array cannot be read: {one_line(error)}") from error
+    return _bare(path, heights, options)
+
+
+def read_npz(path: Path, options: Options) -> Record:
+    """Read a ``.npz`` file: the project's own, or a foreign one with a single 2-D array.
+
+    Of several arrays in a foreign file ``channel`` names the one to read. A foreign file
+    needs ``height_unit`` and ``pixel_size``.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, of another format, or has no array to read.
+    """
+    require_signature(path, (b"PK\x03\x04",), "a NumPy archive (.npz)")
+    options.refuse(path, "a .npz file holds numbers, not grey values", "height_range")
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            content = {name: archive[name] for name in archive.files}
+    except (ValueError, EOFError, OSError, KeyError, zipfile.BadZipFile) as error:
+        raise InputError(f"{path}: the archive cannot be read: {one_line(error)}") from error
+    if "format" in content and str(content["format"]) == FORMAT:
+        return _own(path, content, options)
+    planes = {name: array for name, array in content.items() if array.ndim == 2}
+    if options.channel is not None:
+        if options.channel not in planes:
+            raise InputError(
+                f"{path}: no [ny, nx] array {options.channel!r}; there are {sorted(planes)}"
+            )
+        return _bare(path, planes[str(options.channel)], options, str(options.channel))
+    if len(planes) != 1:
+        raise InputError(
+            f"{path}: expected one [ny, nx] array, found {sorted(planes)}; name one by channel="
+        )
+    ((name, heights),) = planes.items()
+    return _bare(path, heights, options, name)
+
+
+def write_npz(
+    path: Path, heights: np.ndarray, pixel: tuple[float, float], steps: tuple[str, ...]
+) -> None:
+    """Write heights (micrometres, dtype kept), pixel and history to a ``.npz`` file."""
+    with replacing(path) as file:
+        np.savez_compressed(
+            file,
+            format=np.array(FORMAT),
+            version=np.array(VERSION),
+            unit=np.array("um"),
+            pixel=np.asarray(pixel, dtype=np.float64),
+            steps=np.array(json.dumps(steps)),
+            heights=heights,
+        )
+
+
+def _own(path: Path, content: dict[str, np.ndarray], options: Options) -> Record:
+    options.refuse(path, "the file states its unit", "height_unit")
+    options.refuse(path, "the file has one channel", "channel")
+    try:
+        version, unit = int(content["version"]), str(content["unit"])
+        dy, dx = (float(value) for value in content["pixel"])
+        heights, steps = content["heights"], json.loads(str(content["steps"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: a damaged {FORMAT} file: {one_line(error)}") from error
+    if version != VERSION or unit != "um":
+        raise InputError(
+            f"{path}: {FORMAT} version {version} in {unit!r}; expected version {VERSION} in 'um'"
+        )
+    return Record(_real_plane(path, heights), options.pixel(path, (dy, dx)), steps=tuple(steps))
+
+
+def _bare(path: Path, heights: np.ndarray, options: Options, channel: str | None = None) -> Record:
+    heights = _real_plane(path, heights)
+    return Record(heights * options.unit(path), options.pixel(path), channel)
+
+
+def _real_plane(path: Path, heights: np.ndarray) -> np.ndarray:
+    if heights.ndim != 2 or heights.dtype.kind not in "fiu":
+        raise InputError(
+            f"{path}: expected a real [ny, nx] array, found {heights.dtype} {heights.shape}"
+        )
+    return heights.astype(np.float64)

@@ -1,0 +1,191 @@
+"""Heights as grey values: 8- and 16-bit PNG and TIFF, and floating-point TIFF.
+
+Grey values are taken as they are stored, linear in height: 0 is the low end of
+``height_range`` and the greatest value of the type (255 or 65535) the high end. Gamma and
+colour profiles are disregarded. Row 0 is the top row of the picture.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from diffopt.errors import InputError
+from diffopt.io.files import one_line, replacing, require_signature
+from diffopt.io.record import Options, Record
+
+FORMAT = "diffopt heightfield"
+VERSION = 1
+LEVELS = 65535
+
+
+def read_png(path: Path, options: Options) -> Record:
+    """Read an 8- or 16-bit grey PNG; ``pixel_size`` and ``height_range`` are required.
+
+    Grey stored as opaque colour (three equal channels) is accepted.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, of another format, or in colour.
+    """
+    import PIL.Image
+
+    require_signature(path, (b"\x89PNG\r\n\x1a\n",), "a PNG image")
+    options.refuse(path, "a PNG image has one channel", "channel")
+    options.refuse(path, "grey values have no unit; pass height_range=", "height_unit")
+    try:
+        with PIL.Image.open(path, formats=["PNG"]) as image:
+            mode = image.mode
+            grey = np.asarray(image)
+    except (OSError, SyntaxError, ValueError) as error:
+        raise InputError(f"{path}: the PNG image is damaged: {one_line(error)}") from error
+    if mode in ("RGB", "RGBA"):
+        equal = (grey[..., 0] == grey[..., 1]) & (grey[..., 0] == grey[..., 2])
+        opaque = mode == "RGB" or (grey[..., 3] == 255).all()
+        if not (equal.all() and opaque):
+            raise InputError(f"{path}: a colour image ({mode}); expected heights as grey values")
+        grey = grey[..., 0]
+    elif mode not in ("L", "I;16", "I;16B", "I;16L", "I;16N"):
+        raise InputError(f"{path}: PNG of mode {mode}; expected 8- or 16-bit grey")
+    return _from_grey(path, grey, options)
+
+
+def read_tiff(path: Path, options: Options) -> Record:
+    """Read a TIFF image: the project's own, 8- or 16-bit grey, or floating point.
+
+    Grey values need ``pixel_size`` and ``height_range``; floating-point values need
+    ``pixel_size`` and ``height_unit``; the project's own files need neither. Of several
+    pages ``channel`` is the number of the one to read.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged, of another format, or in colour.
+    """
+    import tifffile
+
+    signatures = (b"II*\x00", b"MM\x00*", b"II+\x00", b"MM\x00+")
+    require_signature(path, signatures, "a TIFF image")
+    size = path.stat().st_size
+    try:
+        with tifffile.TiffFile(path) as file:
+            page = _page(path, file, options)
+            ends = np.add(page.dataoffsets, page.databytecounts)
+            if len(ends) == 0 or ends.max() > size:
+                raise InputError(
+                    f"{path}: the TIFF image is truncated: {size} bytes, its data would need "
+                    f"{int(ends.max()) if len(ends) else 'more'}"
+                )
+            values, description = page.asarray(), page.description
+    except InputError:
+        raise
+    except Exception as error:  # a damaged header fails in many ways inside the decoder
+        raise InputError(f"{path}: the TIFF image is damaged: {one_line(error)}") from error
+    if values.ndim != 2:
+        raise InputError(
+            f"{path}: TIFF image of shape {values.shape}; expected heights as one grey plane"
+        )
+    if f'"{FORMAT}"' in description:
+        return _own(path, values, description, options)
+    if values.dtype.kind == "f":
+        options.refuse(path, "the TIFF holds numbers, not grey values", "height_range")
+        heights = values.astype(np.float64) * options.unit(path)
+        return Record(heights, options.pixel(path), _channel(options))
+    options.refuse(path, "grey values have no unit; pass height_range=", "height_unit")
+    return _from_grey(path, values, options)
+
+
+def write_tiff(
+    path: Path, heights: np.ndarray, pixel: tuple[float, float], steps: tuple[str, ...]
+) -> None:
+    """Write a 16-bit TIFF whose description states unit, pixel, range and history.
+
+    Heights are rounded to 65,535 steps between their extremes: the error is at most
+    peak-to-valley / 131,070. The resolution tags carry the pixel size as well.
+
+    Raises
+    ------
+    InputError
+        If pixels are missing: 16-bit grey cannot mark them.
+    """
+    import tifffile
+
+    heights = heights.astype(np.float64)
+    missing = int(np.isnan(heights).sum())
+    if missing:
+        raise InputError(
+            f"{path}: {missing} missing pixels cannot be written to a 16-bit TIFF; "
+            "call .filled() first, or write .npz"
+        )
+    low, high = float(heights.min()), float(heights.max())
+    grey = np.rint((heights - low) * (LEVELS / (high - low) if high > low else 0.0))
+    description = {
+        "format": FORMAT,
+        "version": VERSION,
+        "unit": "um",
+        "pixel": list(pixel),
+        "height_range": [low, high],
+        "steps": list(steps),
+    }
+    with replacing(path) as file:
+        tifffile.imwrite(
+            file,
+            grey.astype(np.uint16),
+            description=json.dumps(description),
+            metadata=None,
+            resolution=(1e4 / pixel[1], 1e4 / pixel[0]),
+            resolutionunit="CENTIMETER",
+            software="diffopt",
+        )
+
+
+def _page(path: Path, file: Any, options: Options) -> Any:
+    count = len(file.pages)
+    index = options.channel
+    if index is None and count != 1:
+        raise InputError(f"{path}: {count} pages; name one by channel=0 to {count - 1}")
+    index = 0 if index is None else index
+    if not isinstance(index, int) or not 0 <= index < count:
+        raise InputError(f"{path}: no page {index!r}; there are {count}, counted from 0")
+    return file.pages[index]
+
+
+def _own(path: Path, values: np.ndarray, description: str, options: Options) -> Record:
+    options.refuse(path, "the file states its heights", "height_range", "height_unit")
+    try:
+        stated = json.loads(description)
+        version, unit = stated["version"], stated["unit"]
+        dy, dx = (float(value) for value in stated["pixel"])
+        low, high = (float(value) for value in stated["height_range"])
+        steps = tuple(str(step) for step in stated["steps"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: a damaged {FORMAT} file: {one_line(error)}") from error
+    if version != VERSION or unit != "um" or values.dtype != np.uint16:
+        raise InputError(
+            f"{path}: {FORMAT} version {version} in {unit!r} as {values.dtype}; "
+            f"expected version {VERSION} in 'um' as uint16"
+        )
+    heights = low + values.astype(np.float64) * ((high - low) / LEVELS)
+    note = f"16-bit heights in steps of {(high - low) / LEVELS:.3g} um"
+    return Record(heights, options.pixel(path, (dy, dx)), steps=steps, notes=(note,))
+
+
+def _from_grey(path: Path, grey: np.ndarray, options: Options) -> Record:
+    if grey.dtype not in (np.uint8, np.uint16):
+        raise InputError(f"{path}: grey values of type {grey.dtype}; expected uint8 or uint16")
+    pixel = options.pixel(path)
+    if options.height_range is None:
+        raise InputError(
+            f"{path}: grey values state no height; pass height_range=(low, high) in micrometres"
+        )
+    low, high = options.height_range
+    step = (high - low) / np.iinfo(grey.dtype).max
+    note = f"{8 * grey.dtype.itemsize}-bit heights in steps of {step:.3g} um"
+    heights = low + grey.astype(np.float64) * step
+    return Record(heights, pixel, _channel(options), notes=(note,))
+
+
+def _channel(options: Options) -> str | None:
+    return None if options.channel is None else f"page {options.channel}"

@@ -1,0 +1,455 @@
+"""Surfaces made by code, to try things on: same key, same surface.
+
+All of them repeat periodically in x and y unless their text says otherwise, and are complete
+`Heightfield` objects in micrometres. `make` builds one by name.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from diffopt import gratings
+from diffopt.errors import InputError
+from diffopt.heightfield import Heightfield, Number, Provenance
+from diffopt.io.record import pair
+
+Key = Any
+Pixel = Number | tuple[Number, Number]
+
+# Compact disc. IEC 60908 (2nd edition, 1999) and ECMA-130 (2nd edition, 1996), sections on the
+# track and on the recording: track pitch 1.6 um +- 0.1 um, scanning velocity 1.20 to 1.40 m/s,
+# channel bit rate 4.3218 MHz, run lengths of 3 to 11 channel bits (0.833 to 3.054 um at
+# 1.2 m/s).
+TRACK_PITCH = 1.6
+CHANNEL_BIT_RATE = 4.3218
+SHORTEST_RUN, LONGEST_RUN = 3, 11
+VELOCITIES = (1.2, 1.4)
+
+
+def flat(*, shape: tuple[int, int] = (256, 256), pixel: Pixel = 0.05) -> Heightfield:
+    """Return a mirror: zero height everywhere."""
+    return _heightfield(jnp.zeros(shape, _dtype()), pixel, "flat mirror")
+
+
+def sinusoidal_grating(
+    *,
+    period: Number = 2.0,
+    amplitude: Number = 0.1,
+    shape: tuple[int, int] = (64, 400),
+    pixel: Pixel = 0.05,
+) -> Heightfield:
+    """Return a sinusoidal grating that varies along x; see `gratings.Sinusoidal`.
+
+    Raises
+    ------
+    InputError
+        If the patch does not hold a whole number of periods.
+    """
+    _whole(shape, pixel, period, "periods")
+    return gratings.Sinusoidal(period, amplitude).heightfield(shape, pixel)
+
+
+def blazed_grating(
+    *,
+    period: Number = 1.6,
+    depth: Number = 0.15,
+    shape: tuple[int, int] = (64, 512),
+    pixel: Pixel = 0.025,
+) -> Heightfield:
+    """Return a blazed grating that rises along +x; see `gratings.Blazed`.
+
+    Raises
+    ------
+    InputError
+        If the patch does not hold a whole number of periods.
+    """
+    _whole(shape, pixel, period, "periods")
+    shift = _between_samples(pixel, period)
+    return gratings.Blazed(period, depth, shift).heightfield(shape, pixel)
+
+
+def binary_grating(
+    *,
+    period: Number = 2.0,
+    depth: Number = 0.12,
+    duty: Number = 0.5,
+    shape: tuple[int, int] = (64, 400),
+    pixel: Pixel = 0.05,
+) -> Heightfield:
+    """Return a binary grating that varies along x; see `gratings.Binary`.
+
+    Raises
+    ------
+    InputError
+        If the patch does not hold a whole number of periods.
+    """
+    _whole(shape, pixel, period, "periods")
+    shift = _between_samples(pixel, period)
+    return gratings.Binary(period, depth, duty, shift).heightfield(shape, pixel)
+
+
+def compact_disc(
+    key: Key,
+    *,
+    shape: tuple[int, int] = (512, 512),
+    pixel: Pixel = 0.025,
+    pitch: Number = TRACK_PITCH,
+    velocity: Number = VELOCITIES[0],
+    depth: Number = 0.115,
+    width: Number = 0.5,
+    wall: Number = 0.1,
+) -> Heightfield:
+    """Return the pits of a compact disc; tracks run along y, so that colours spread along x.
+
+    The metal layer as its pits lie in it, in air. Through the polycarbonate, whose index is
+    about 1.55, the optical depth is 1.55 times larger: pass ``depth`` multiplied by it. Pitch,
+    run lengths and velocity are those of IEC 60908 and ECMA-130. Depth and width are no part
+    of them; 0.11 to 0.12 um and 0.5 um are usual (Bouwhuis et al., Principles of Optical Disc
+    Systems, 1985).
+
+    Runs of pit and land alternate, 3 to 11 channel bits T each, with the probabilities of a
+    code of greatest entropy under these limits, proportional to 1.456^-n; the merging bits
+    and the frames of the real code are not modelled. Tracks are independent. So that runs
+    fit the patch periodically, the velocity is raised to the next that gives a whole number
+    of channel bits along y.
+
+    Parameters
+    ----------
+    key
+        JAX random key.
+    shape, pixel
+        (ny, nx) and (dy, dx) in micrometres. nx dx must be a whole number of pitches.
+    pitch
+        Distance of tracks, micrometres.
+    velocity
+        Least scanning velocity, 1.2 to 1.4 m/s; the channel bit is velocity / 4.3218 MHz.
+    depth
+        Depth of the pits, micrometres; negative for bumps.
+    width
+        Width of the pits at half depth, micrometres; their ends are half circles.
+    wall
+        Horizontal width of the walls, micrometres; at most ``width``.
+
+    Raises
+    ------
+    InputError
+        If the tracks do not fit the patch, or pits do not fit their tracks.
+    """
+    (ny, nx), (dy, dx) = shape, pair(pixel, "pixel")
+    tracks = _whole(shape, pixel, pitch, "tracks")
+    if not VELOCITIES[0] <= velocity <= VELOCITIES[1]:
+        raise InputError(f"velocity={velocity}: expected 1.2 to 1.4 m/s")
+    if not (0 < wall <= width and width + wall <= pitch):
+        raise InputError(
+            f"width={width}, wall={wall}: expected 0 < wall <= width and width + wall <= pitch"
+        )
+    length = ny * dy
+    bits = math.floor(length * CHANNEL_BIT_RATE / velocity * (1 + 1e-9))
+    bit = length / max(bits, 1)
+    if bits < 2 * SHORTEST_RUN or bit * CHANNEL_BIT_RATE > VELOCITIES[1] * (1 + 1e-9):
+        raise InputError(
+            f"compact_disc: {length:.4g} um along y do not hold whole channel bits at 1.2 to "
+            "1.4 m/s; expected a patch of at least 3 um or so"
+        )
+    # Uniform draws from the key; the constrained sequence itself is drawn on the host.
+    draws = np.asarray(jax.random.uniform(key, (tracks, bits + 1)), dtype=np.float64)
+    y, x = np.arange(ny) * dy, (np.arange(nx) + 0.5) * dx
+    heights = np.zeros((ny, nx))
+    for track in range(tracks):
+        columns = np.flatnonzero(np.floor(x / pitch).astype(int) == track)
+        across = x[columns] - (track + 0.5) * pitch
+        position = draws[track, 0] * length
+        for index, run in enumerate(_run_lengths(bits, draws[track, 1:])):
+            if index % 2 == 0:
+                centre = position + run * bit / 2
+                along = np.abs((y - centre + length / 2) % length - length / 2)
+                beyond = np.maximum(along - (run * bit - width) / 2, 0.0)
+                distance = np.hypot(beyond[:, None], across[None, :])
+                t = np.clip((width / 2 + wall / 2 - distance) / wall, 0.0, 1.0)
+                # Walls of neighbouring pits on a track never overlap: a land has 3 T.
+                heights[:, columns] -= depth * t * t * (3.0 - 2.0 * t)
+            position += run * bit
+    step = f"{tracks} tracks of {bits} channel bits at {bit * CHANNEL_BIT_RATE:.4f} m/s"
+    return _heightfield(jnp.asarray(heights, _dtype()), pixel, "compact disc", step)
+
+
+def random_bumps(
+    key: Key,
+    *,
+    shape: tuple[int, int] = (512, 512),
+    pixel: Pixel = 0.05,
+    height: Number = 0.15,
+    sigma: Number | tuple[Number, Number] = (0.5, 0.25),
+    density: Number = 1.0,
+) -> Heightfield:
+    """Return Gaussian bumps at random places (Stam, Diffraction shaders, 1999, section 4.2).
+
+    h = sum of height exp(-x^2 / (2 sx^2) - y^2 / (2 sy^2)) about points of a Poisson process.
+
+    Parameters
+    ----------
+    key
+        JAX random key.
+    shape, pixel
+        (ny, nx) and (dy, dx) in micrometres.
+    height
+        Of each bump, micrometres.
+    sigma
+        (sy, sx), or one number for both, micrometres.
+    density
+        Mean number of bumps on a square micrometre.
+
+    Raises
+    ------
+    InputError
+        If the density is negative or sigma is no pair of positive lengths.
+    """
+    sigma_y, sigma_x = pair(sigma, "sigma")
+    if not 0 <= density < float("inf"):
+        raise InputError(f"density={density}: expected bumps on a square micrometre, 0 or more")
+    (ny, nx), (dy, dx) = shape, pair(pixel, "pixel")
+    length_y, length_x = ny * dy, nx * dx
+    key_count, key_place = jax.random.split(key)
+    count = int(jax.random.poisson(key_count, density * length_y * length_x))
+    place = jax.random.uniform(key_place, (count, 2), _dtype())
+    along_y = _periodic_gaussians(place[:, 0], ny, dy, sigma_y)
+    along_x = _periodic_gaussians(place[:, 1], nx, dx, sigma_x)
+    return _heightfield(height * along_y.T @ along_x, pixel, "random bumps", f"{count} bumps")
+
+
+def gaussian_roughness(
+    key: Key,
+    *,
+    shape: tuple[int, int] = (512, 512),
+    pixel: Pixel = 0.05,
+    rms: Number = 0.05,
+    correlation_length: Number = 0.5,
+) -> Heightfield:
+    """Return a Gaussian random surface with autocorrelation rms^2 exp(-r^2 / ell^2).
+
+    White noise filtered in the frequency domain by the root of the power spectrum
+    pi ell^2 rms^2 exp(-pi^2 ell^2 f^2) (Garcia and Stoll, Phys. Rev. Lett. 52, 1798, 1984). rms
+    is that of the ensemble; a patch differs from it at random.
+
+    Parameters
+    ----------
+    key
+        JAX random key.
+    shape, pixel
+        (ny, nx) and (dy, dx) in micrometres.
+    rms
+        Root mean square height, micrometres.
+    correlation_length
+        ell, micrometres: at least two pixels, at most a quarter of the shorter side.
+
+    Raises
+    ------
+    InputError
+        If the correlation length is out of range.
+    """
+    return _heightfield(
+        rms * _gaussian_field(key, shape, pair(pixel, "pixel"), correlation_length),
+        pixel,
+        "gaussian roughness",
+        f"rms {rms:g} um, correlation length {correlation_length:g} um",
+    )
+
+
+def snake_skin(
+    key: Key,
+    *,
+    shape: tuple[int, int] = (512, 512),
+    pixel: Pixel = 0.05,
+    finger_pitch: Number = 0.8,
+    row_pitch: Number = 2.4,
+    height: Number = 0.3,
+    disorder: Number = 0.06,
+) -> Heightfield:
+    """Return a quasi-periodic surface like the nanostructure of a snake's scales.
+
+    Ridges (fingers) along x, ``finger_pitch`` apart in y, that taper and leave wedge-shaped
+    hollows at every ``row_pitch``; smooth random displacements wear the order down. The
+    proportions follow published pictures of such scales (Dhillon et al., Interactive
+    diffraction from biological nanostructures, 2014); it is no model of a species.
+
+    Parameters
+    ----------
+    key
+        JAX random key.
+    shape, pixel
+        (ny, nx) and (dy, dx) in micrometres; sides of at least two pitches.
+    finger_pitch, row_pitch
+        Micrometres; adjusted so that whole numbers of them fit the patch.
+    height
+        Depth of the hollows, micrometres.
+    disorder
+        Root mean square displacement, micrometres, over a correlation length of about one
+        row.
+
+    Raises
+    ------
+    InputError
+        If the patch holds fewer than two pitches.
+    """
+    (ny, nx), (dy, dx) = shape, pair(pixel, "pixel")
+    length_y, length_x = ny * dy, nx * dx
+    fingers, rows = round(length_y / finger_pitch), round(length_x / row_pitch)
+    if fingers < 2 or rows < 2:
+        raise InputError(
+            f"snake_skin: a patch of {length_y:.3g} x {length_x:.3g} um; expected two pitches or "
+            f"more, {2 * finger_pitch:.3g} x {2 * row_pitch:.3g} um"
+        )
+    key_y, key_x = jax.random.split(key)
+    reach = min(float(row_pitch), length_y / 4, length_x / 4)
+    shift_y = disorder * _gaussian_field(key_y, shape, (dy, dx), reach)
+    shift_x = disorder * _gaussian_field(key_x, shape, (dy, dx), reach)
+    y = (jnp.arange(ny, dtype=_dtype()) * dy)[:, None]
+    x = (jnp.arange(nx, dtype=_dtype()) * dx)[None, :]
+    along = 2 * jnp.pi * (rows / length_x * x + shift_x / row_pitch)
+    across = 2 * jnp.pi * (fingers / length_y * y + shift_y / finger_pitch)
+    # Width of the ridges: a saw along x, its series cut after three terms with Lanczos
+    # factors so that the hollow closes over about a fifth of the row instead of at once.
+    saw = sum(np.sinc(n / 4) * jnp.sin(n * along) / n for n in (1, 2, 3))
+    # Above the threshold a ridge, below it a hollow; the slope limits the walls.
+    level = jax.nn.sigmoid(2.5 * (jnp.cos(across) + 0.3 + 0.9 * saw))
+    return _heightfield(height * level, pixel, "snake skin", f"{fingers} fingers, {rows} rows")
+
+
+_KEYED: dict[str, Callable[..., Heightfield]] = {
+    "compact_disc": compact_disc,
+    "gaussian_roughness": gaussian_roughness,
+    "random_bumps": random_bumps,
+    "snake_skin": snake_skin,
+}
+_PLAIN: dict[str, Callable[..., Heightfield]] = {
+    "binary_grating": binary_grating,
+    "blazed_grating": blazed_grating,
+    "flat": flat,
+    "sinusoidal_grating": sinusoidal_grating,
+}
+NAMES = tuple(sorted(_KEYED | _PLAIN))
+
+
+def make(name: str, *, key: Key | None = None, **options: Any) -> Heightfield:
+    """Build a sample by its name.
+
+    Parameters
+    ----------
+    name
+        One of `NAMES`.
+    key
+        JAX random key for the random ones (key 0 if left out); the others ignore it.
+    options
+        Passed to the function of that name.
+
+    Raises
+    ------
+    InputError
+        If there is no sample of that name.
+    """
+    if name in _KEYED:
+        return _KEYED[name](jax.random.key(0) if key is None else key, **options)
+    if name in _PLAIN:
+        return _PLAIN[name](**options)
+    raise InputError(f"no sample {name!r}; expected one of {', '.join(NAMES)}")
+
+
+def _dtype() -> Any:
+    return jnp.result_type(float)
+
+
+def _heightfield(heights: Array, pixel: Pixel, name: str, *steps: str) -> Heightfield:
+    return Heightfield(heights, pixel, provenance=Provenance(f"sample: {name}", steps=steps))
+
+
+def _whole(shape: tuple[int, int], pixel: Pixel, period: Number, what: str) -> int:
+    """Number of periods along x, refused where it is not whole."""
+    if not 0 < period < float("inf"):
+        raise InputError(f"period={period}: expected positive micrometres")
+    extent = shape[1] * pair(pixel, "pixel")[1]
+    count = round(extent / period)
+    if count < 1 or abs(extent - count * period) > 1e-6 * period:
+        fitting = max(count, 1) * period / shape[1]
+        raise InputError(
+            f"{extent:.6g} um along x hold {extent / period:.4g} {what} of {period:g} um; expected "
+            f"a whole number: a pixel of {fitting:.8g} um would do"
+        )
+    return count
+
+
+def _between_samples(pixel: Pixel, period: Number) -> float:
+    """Shift that puts the jump at x = 0 half a pixel before it, where rounding cannot reach."""
+    return -0.5 * pair(pixel, "pixel")[1] / float(period)
+
+
+def _run_lengths(bits: int, draws: np.ndarray) -> list[int]:
+    """Alternating run lengths, even in number, with the sum ``bits``; exact conditional draws."""
+    runs = np.arange(SHORTEST_RUN, LONGEST_RUN + 1)
+    weight = _maxentropic() ** -runs.astype(np.float64)
+    # ways[p, n]: total weight of sequences of sum n with p = number of runs modulo 2.
+    ways = np.zeros((2, bits + 1))
+    ways[0, 0] = 1.0
+    for n in range(SHORTEST_RUN, bits + 1):
+        before = n - runs[runs <= n]
+        ways[:, n] = ways[::-1, before] @ weight[: len(before)]
+    result, left, parity = [], bits, 0
+    while left:
+        possible = runs[runs <= left]
+        odds = np.cumsum(weight[: len(possible)] * ways[1 - parity, left - possible])
+        draw = draws[len(result)] * odds[-1]
+        run = int(possible[min(np.searchsorted(odds, draw, side="right"), len(possible) - 1)])
+        result.append(run)
+        left, parity = left - run, 1 - parity
+    return result
+
+
+def _maxentropic() -> float:
+    """Root of sum over run lengths of root^-n = 1 (1.4558, capacity 0.5418 bits), by bisection."""
+    low, high = 1.0, 2.0
+    for _ in range(60):
+        middle = (low + high) / 2
+        total = sum(middle**-n for n in range(SHORTEST_RUN, LONGEST_RUN + 1))
+        low, high = (middle, high) if total > 1 else (low, middle)
+    return low
+
+
+def _periodic_gaussians(place: Array, n: int, step: float, sigma: float) -> Array:
+    """Gaussians [count, n] of maximum 1 about ``place`` (share of the side), wrapped around."""
+    length = n * step
+    offset = (jnp.arange(n, dtype=place.dtype) * step)[None, :] - place[:, None] * length
+    # Images beyond 9 sigma add less than 3e-18.
+    images = math.ceil(9 * sigma / length + 0.5)
+    copies = jnp.arange(-images, images + 1, dtype=place.dtype) * length
+    centred = (offset + length / 2) % length - length / 2
+    shifted = centred[:, :, None] + copies[None, None, :]
+    return jnp.exp(-((shifted / sigma) ** 2) / 2).sum(axis=-1)
+
+
+def _gaussian_field(
+    key: Key, shape: tuple[int, int], pixel: tuple[float, float], length: Number
+) -> Array:
+    """Unit-variance periodic Gaussian field with correlation exp(-r^2 / length^2)."""
+    (ny, nx), (dy, dx) = shape, pixel
+    shorter = min(ny * dy, nx * dx)
+    if not 2 * max(dy, dx) <= length <= shorter / 4 * (1 + 1e-9):
+        raise InputError(
+            f"correlation_length={length:g} um: expected two pixels ({2 * max(dy, dx):g} um) to a "
+            f"quarter of the side ({shorter / 4:g} um)"
+        )
+    f2 = np.fft.fftfreq(ny, dy)[:, None] ** 2 + np.fft.rfftfreq(nx, dx)[None, :] ** 2
+    root = np.exp(-0.5 * (math.pi * float(length)) ** 2 * f2)
+    full = np.exp(-((math.pi * float(length)) ** 2) * _full_f2(shape, pixel))
+    root /= math.sqrt(full.mean())
+    noise = jax.random.normal(key, shape, _dtype())
+    spectrum = jnp.fft.rfft2(noise)
+    return jnp.fft.irfft2(spectrum * jnp.asarray(root, spectrum.dtype), shape)
+
+
+def _full_f2(shape: tuple[int, int], pixel: tuple[float, float]) -> np.ndarray:
+    f_y, f_x = (np.fft.fftfreq(n, d) for n, d in zip(shape, pixel, strict=True))
+    return f_y[:, None] ** 2 + f_x[None, :] ** 2
