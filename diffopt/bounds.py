@@ -5,9 +5,13 @@ import math
 import jax.numpy as jnp
 import numpy as np
 
+from diffopt.errors import InputError
 from diffopt.kernels import gather, phase
 from diffopt.methods import Surface
-from diffopt.settings import DirectSettings, SeparableSettings, Settings
+from diffopt.settings import DirectSettings, SeparableSettings, Settings, TaylorSettings
+
+# Beyond this the picture is wrong, whatever tolerance was asked.
+LARGEST_ROUNDING = 5e-3
 
 
 def phase_range(surface: Surface, wave: np.ndarray, wavelengths: np.ndarray) -> float:
@@ -49,6 +53,29 @@ def error_bound(
     e = phase.taylor_bound(argument, settings.terms)
     cut = gather_cut(surface, settings.reach, wavelengths)
     return 2.0 * e + e * e + cut + rounding + phase.taylor_rounding(argument, eps)
+
+
+def refuse_rounding(
+    surface: Surface, settings: Settings, wave: np.ndarray, wavelengths: np.ndarray
+) -> None:
+    """Raise InputError for Taylor terms that the dtype cannot carry over the phase range.
+
+    In float32 a phase range of 10 (20 centred) already rounds to a few 1e-3 of a mirror's
+    peak; at 30 nothing is left.
+    """
+    if not isinstance(settings, TaylorSettings):
+        return
+    dtype = surface.heights.dtype
+    total = phase_range(surface, wave, wavelengths)
+    argument = 0.5 * total if settings.centred else total
+    rounding = phase.taylor_rounding(argument, float(jnp.finfo(dtype).eps))
+    if rounding > LARGEST_ROUNDING:
+        raise InputError(
+            f"method 'taylor': {dtype} cannot carry Taylor terms over a phase range of "
+            f"{total:.1f} (rounding {rounding:.1e} of a mirror's peak, at most "
+            f"{LARGEST_ROUNDING:g} accepted): use method 'separable' or 'direct', centred "
+            "heights, or float64"
+        )
 
 
 def gather_cut(surface: Surface, reach: int, wavelengths: np.ndarray) -> float:

@@ -208,6 +208,7 @@ def prepare(
     gain = _gain(brdf, wi, wo, lam, output, weights, tolerance)
     if settings is not None:
         refuse(brdf, settings)
+        bounds.refuse_rounding(brdf.surface, settings, wave, lam)
         found = (_priced(brdf, settings, wave, lam, count),)
     else:
         found = tuple(

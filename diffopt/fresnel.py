@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from diffopt.errors import InputError
 from diffopt.kernels import fresnel
 
-#: Planck's constant times the speed of light, in eV micrometres (CODATA 2018, exact).
+#: Planck's constant times the speed of light, in eV micrometres (exact in the SI, to ten digits).
 HC_EV_UM = 1.239841984
 
 # Lorentz-Drude parameters in eV of Rakic, Djurisic, Elazar and Majewski, Applied Optics 37,

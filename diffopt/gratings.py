@@ -186,7 +186,7 @@ class Sinusoidal(Grating):
     ) -> Complex[Array, "..."]:
         """Complex amplitude c_m; see `Grating.order_amplitude` and `bessel_j` for its range."""
         turn = jnp.asarray(order, kappa.dtype) * (self.phase + jnp.pi / 2)
-        return bessel_j(order, kappa * self.amplitude) * _cis(turn)
+        return _polar(bessel_j(order, kappa * self.amplitude), turn)
 
 
 class Blazed(Grating):
@@ -227,7 +227,7 @@ class Blazed(Grating):
         """Complex amplitude c_m; see `Grating.order_amplitude`."""
         m = jnp.asarray(order, kappa.dtype)
         q = kappa * self.depth / (2 * jnp.pi) - m
-        return jnp.sinc(q) * _cis(jnp.pi * q - 2 * jnp.pi * m * self.shift)
+        return _polar(jnp.sinc(q), jnp.pi * q - 2 * jnp.pi * m * self.shift)
 
 
 class Binary(Grating):
@@ -272,14 +272,17 @@ class Binary(Grating):
     ) -> Complex[Array, "..."]:
         """Complex amplitude c_m; see `Grating.order_amplitude`."""
         m = jnp.asarray(order, kappa.dtype)
-        ridge = (
-            self.duty * jnp.sinc(m * self.duty) * _cis(-jnp.pi * m * (self.duty + 2 * self.shift))
+        ridge = _polar(
+            self.duty * jnp.sinc(m * self.duty), -jnp.pi * m * (self.duty + 2 * self.shift)
         )
-        return (m == 0).astype(kappa.dtype) + (_cis(kappa * self.depth) - 1) * ridge
+        step = _polar(jnp.ones_like(kappa), kappa * self.depth) - 1
+        return (m == 0).astype(step.dtype) + step * ridge
 
 
-def _cis(angle: Float[Array, "..."]) -> Complex[Array, "..."]:
-    return jax.lax.complex(jnp.cos(angle), jnp.sin(angle))
+def _polar(radius: Float[Array, "..."], angle: Float[Array, "..."]) -> Complex[Array, "..."]:
+    """Return radius e^(i angle), from real parts: no type is mixed with another."""
+    radius, angle = jnp.broadcast_arrays(radius, angle)
+    return jax.lax.complex(radius * jnp.cos(angle), radius * jnp.sin(angle))
 
 
 def _frac(t: Float[Array, "..."]) -> Float[Array, "..."]:

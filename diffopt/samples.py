@@ -216,10 +216,11 @@ def random_bumps(
     length_y, length_x = ny * dy, nx * dx
     key_count, key_place = jax.random.split(key)
     count = int(jax.random.poisson(key_count, density * length_y * length_x))
-    place = jax.random.uniform(key_place, (count, 2), _dtype())
+    place = np.asarray(jax.random.uniform(key_place, (count, 2)), dtype=np.float64)
     along_y = _periodic_gaussians(place[:, 0], ny, dy, sigma_y)
     along_x = _periodic_gaussians(place[:, 1], nx, dx, sigma_x)
-    return _heightfield(height * along_y.T @ along_x, pixel, "random bumps", f"{count} bumps")
+    heights = jnp.asarray(height * along_y.T @ along_x, _dtype())
+    return _heightfield(heights, pixel, "random bumps", f"{count} bumps")
 
 
 def gaussian_roughness(
@@ -418,16 +419,18 @@ def _maxentropic() -> float:
     return low
 
 
-def _periodic_gaussians(place: Array, n: int, step: float, sigma: float) -> Array:
+def _periodic_gaussians(place: np.ndarray, n: int, step: float, sigma: float) -> np.ndarray:
     """Gaussians [count, n] of maximum 1 about ``place`` (share of the side), wrapped around."""
     length = n * step
-    offset = (jnp.arange(n, dtype=place.dtype) * step)[None, :] - place[:, None] * length
-    # Images beyond 9 sigma add less than 3e-18.
-    images = math.ceil(9 * sigma / length + 0.5)
-    copies = jnp.arange(-images, images + 1, dtype=place.dtype) * length
-    centred = (offset + length / 2) % length - length / 2
-    shifted = centred[:, :, None] + copies[None, None, :]
-    return jnp.exp(-((shifted / sigma) ** 2) / 2).sum(axis=-1)
+    offset = (np.arange(n) * step)[None, :] - place[:, None] * length
+    nearest = (offset + length / 2) % length - length / 2
+    # Images more than 9 sigma away add less than 3e-18.
+    images = max(math.ceil(9 * sigma / length - 0.5), 0)
+    shifts = np.arange(-images, images + 1) * length
+    return sum(
+        (np.exp(-(((nearest + shift) / sigma) ** 2) / 2) for shift in shifts),
+        start=np.zeros_like(nearest),
+    )
 
 
 def _gaussian_field(

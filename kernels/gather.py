@@ -95,7 +95,9 @@ def gather_bins(
     """
     ny, nx, terms, _ = tables.shape
     del ny, nx
-    block = jax.lax.dynamic_slice(tables, (*anchor, 0, 0), (taps, taps, terms, 2))
+    block = jax.lax.dynamic_slice(
+        tables, (*anchor, *(jnp.zeros_like(anchor[0]),) * 2), (taps, taps, terms, 2)
+    )
     re, im = taylor_coefficients(argument, terms)
     # (block_re + i block_im) (re + i im), summed over the terms, as one matrix product.
     mix = jnp.stack([jnp.stack([re, im], -1), jnp.stack([-im, re], -1)], 1)

@@ -29,7 +29,8 @@ def read_npy(path: Path, options: Options) -> Record:
     options.refuse(path, "a .npy file has one channel", "channel")
     options.refuse(path, "a .npy file holds numbers, not grey values", "height_range")
     try:
-        heights = np.load(path, allow_pickle=False)
+        with path.open("rb") as file:
+            heights = np.load(file, allow_pickle=False)
     except (ValueError, EOFError, OSError) as error:
         raise InputError(f"{path}: the array cannot be read: {one_line(error)}") from error
     return _bare(path, heights, options)
@@ -49,7 +50,8 @@ def read_npz(path: Path, options: Options) -> Record:
     require_signature(path, (b"PK\x03\x04",), "a NumPy archive (.npz)")
     options.refuse(path, "a .npz file holds numbers, not grey values", "height_range")
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        # Opened here: on a damaged archive np.load would leave its own file open.
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             content = {name: archive[name] for name in archive.files}
     except (ValueError, EOFError, OSError, KeyError, zipfile.BadZipFile) as error:
         raise InputError(f"{path}: the archive cannot be read: {one_line(error)}") from error

@@ -18,6 +18,8 @@ from diffopt.io.record import Options, Record
 FORMAT = "diffopt heightfield"
 VERSION = 1
 LEVELS = 65535
+# Name and checksum of the chunk that ends every PNG; decoders do without it.
+_PNG_END = b"IEND\xaeB`\x82"
 
 
 def read_png(path: Path, options: Options) -> Record:
@@ -35,6 +37,8 @@ def read_png(path: Path, options: Options) -> Record:
     require_signature(path, (b"\x89PNG\r\n\x1a\n",), "a PNG image")
     options.refuse(path, "a PNG image has one channel", "channel")
     options.refuse(path, "grey values have no unit; pass height_range=", "height_unit")
+    if _PNG_END not in path.read_bytes():
+        raise InputError(f"{path}: the PNG image is truncated: its end chunk is missing")
     try:
         with PIL.Image.open(path, formats=["PNG"]) as image:
             mode = image.mode
