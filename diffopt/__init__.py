@@ -4,8 +4,10 @@
 `heightfield`       a scan with its pixel: loading, conditioning, saving
 `conditioning`      levelling, filling, cropping, resampling, rotating
 `statistics`        roughness, slope, spectrum, dominant period
+`sampling`          is the pixel fine enough for a wavelength and an angle
 `io`                readers and writers of the file formats
 `samples`           embedded surfaces, made by code
+`discs`             run lengths and pits of a compact disc
 `gratings`          sinusoidal, blazed and binary gratings with closed forms
 `diffraction`       the diffraction BRDF of a heightfield, and its reference sum
 `statistical`       closed forms for surfaces known by their statistics
@@ -13,6 +15,7 @@
 `settings`          their settings
 `bounds`            their errors before they run
 `choice`            the cheapest method within a tolerance
+`lookup`            colours as a table over wave vectors, for drawing
 `fresnel`           reflectance of mirrors, glasses and metals
 `colour`            spectra to XYZ to sRGB
 ==================  ==========================================================
@@ -20,6 +23,8 @@
 
 from diffopt import colour as colour
 from diffopt import fresnel as fresnel
+from diffopt import gratings as gratings
+from diffopt import samples as samples
 from diffopt.choice import Choice as Choice
 from diffopt.choice import PreparedBRDF as PreparedBRDF
 from diffopt.diffraction import DiffractionBRDF as DiffractionBRDF
@@ -28,5 +33,7 @@ from diffopt.heightfield import Heightfield as Heightfield
 from diffopt.settings import DirectSettings as DirectSettings
 from diffopt.settings import SeparableSettings as SeparableSettings
 from diffopt.settings import TaylorSettings as TaylorSettings
+from diffopt.statistical import GaussianRoughness as GaussianRoughness
+from diffopt.statistical import RandomBumps as RandomBumps
 
 __version__ = "0.1.0"

@@ -31,8 +31,8 @@ from diffopt.errors import InputError
 from diffopt.heightfield import Heightfield, Number, Provenance
 from diffopt.io.record import pair
 
-# Nodes of the quadrature for J_m; the error is the sum of J_(m +- 512 k)(z), below 1e-16
-# where |m| + |z| is below _BESSEL_REACH (J_312(200) = 4e-20).
+# Nodes of the quadrature for J_m; the error is the sum of J_(m +- 512 k)(z), k > 0,
+# where |m| + |z| is below _BESSEL_REACH at most J_512(400) = 3e-26.
 _BESSEL_NODES = 512
 _BESSEL_REACH = 400.0
 

@@ -13,22 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from diffopt import gratings
+from diffopt import discs, gratings
 from diffopt.errors import InputError
 from diffopt.heightfield import Heightfield, Number, Provenance
 from diffopt.io.record import pair
 
 Key = Any
 Pixel = Number | tuple[Number, Number]
-
-# Compact disc. IEC 60908 (2nd edition, 1999) and ECMA-130 (2nd edition, 1996), sections on the
-# track and on the recording: track pitch 1.6 um +- 0.1 um, scanning velocity 1.20 to 1.40 m/s,
-# channel bit rate 4.3218 MHz, run lengths of 3 to 11 channel bits (0.833 to 3.054 um at
-# 1.2 m/s).
-TRACK_PITCH = 1.6
-CHANNEL_BIT_RATE = 4.3218
-SHORTEST_RUN, LONGEST_RUN = 3, 11
-VELOCITIES = (1.2, 1.4)
 
 
 def flat(*, shape: tuple[int, int] = (256, 256), pixel: Pixel = 0.05) -> Heightfield:
@@ -98,25 +89,24 @@ def compact_disc(
     *,
     shape: tuple[int, int] = (512, 512),
     pixel: Pixel = 0.025,
-    pitch: Number = TRACK_PITCH,
-    velocity: Number = VELOCITIES[0],
+    pitch: Number = discs.TRACK_PITCH,
+    velocity: Number = discs.VELOCITIES[0],
     depth: Number = 0.115,
     width: Number = 0.5,
     wall: Number = 0.1,
 ) -> Heightfield:
     """Return the pits of a compact disc; tracks run along y, so that colours spread along x.
 
-    The metal layer as its pits lie in it, in air. Through the polycarbonate, whose index is
-    about 1.55, the optical depth is 1.55 times larger: pass ``depth`` multiplied by it. Pitch,
-    run lengths and velocity are those of IEC 60908 and ECMA-130. Depth and width are no part
-    of them; 0.11 to 0.12 um and 0.5 um are usual (Bouwhuis et al., Principles of Optical Disc
-    Systems, 1985).
+    The metal layer with its pits going down, lit in air. Seen through the polycarbonate, whose
+    index is about 1.55, they are bumps of 1.55 times the optical height: pass
+    ``depth=-1.55 * 0.115``. Pitch, run lengths and velocity are those of the standards (see
+    `diffopt.discs`). Depth and width are no part of them; 0.11 to 0.12 um and 0.5 um are usual
+    (Bouwhuis et al., Principles of Optical Disc Systems, 1985).
 
-    Runs of pit and land alternate, 3 to 11 channel bits T each, with the probabilities of a
-    code of greatest entropy under these limits, proportional to 1.456^-n; the merging bits
-    and the frames of the real code are not modelled. Tracks are independent. So that runs
-    fit the patch periodically, the velocity is raised to the next that gives a whole number
-    of channel bits along y.
+    Runs of pit and land alternate at random within the limits of the code; its merging bits
+    and frames are not modelled, and tracks are independent. So that the runs repeat with the
+    patch, the velocity is raised to the next that gives a whole number of channel bits
+    along y; the provenance states it.
 
     Parameters
     ----------
@@ -127,7 +117,7 @@ def compact_disc(
     pitch
         Distance of tracks, micrometres.
     velocity
-        Least scanning velocity, 1.2 to 1.4 m/s; the channel bit is velocity / 4.3218 MHz.
+        Least scanning velocity, 1.2 to 1.4 m/s; a channel bit is velocity / 4.3218 MHz.
     depth
         Depth of the pits, micrometres; negative for bumps.
     width
@@ -142,39 +132,27 @@ def compact_disc(
     """
     (ny, nx), (dy, dx) = shape, pair(pixel, "pixel")
     tracks = _whole(shape, pixel, pitch, "tracks")
-    if not VELOCITIES[0] <= velocity <= VELOCITIES[1]:
-        raise InputError(f"velocity={velocity}: expected 1.2 to 1.4 m/s")
     if not (0 < wall <= width and width + wall <= pitch):
         raise InputError(
             f"width={width}, wall={wall}: expected 0 < wall <= width and width + wall <= pitch"
         )
-    length = ny * dy
-    bits = math.floor(length * CHANNEL_BIT_RATE / velocity * (1 + 1e-9))
-    bit = length / max(bits, 1)
-    if bits < 2 * SHORTEST_RUN or bit * CHANNEL_BIT_RATE > VELOCITIES[1] * (1 + 1e-9):
-        raise InputError(
-            f"compact_disc: {length:.4g} um along y do not hold whole channel bits at 1.2 to "
-            "1.4 m/s; expected a patch of at least 3 um or so"
-        )
-    # Uniform draws from the key; the constrained sequence itself is drawn on the host.
+    bits, bit = discs.whole_bits(ny * dy, velocity)
+    # Uniform draws from the key; the constrained sequences are drawn on the host.
     draws = np.asarray(jax.random.uniform(key, (tracks, bits + 1)), dtype=np.float64)
     y, x = np.arange(ny) * dy, (np.arange(nx) + 0.5) * dx
     heights = np.zeros((ny, nx))
     for track in range(tracks):
         columns = np.flatnonzero(np.floor(x / pitch).astype(int) == track)
-        across = x[columns] - (track + 0.5) * pitch
-        position = draws[track, 0] * length
-        for index, run in enumerate(_run_lengths(bits, draws[track, 1:])):
-            if index % 2 == 0:
-                centre = position + run * bit / 2
-                along = np.abs((y - centre + length / 2) % length - length / 2)
-                beyond = np.maximum(along - (run * bit - width) / 2, 0.0)
-                distance = np.hypot(beyond[:, None], across[None, :])
-                t = np.clip((width / 2 + wall / 2 - distance) / wall, 0.0, 1.0)
-                # Walls of neighbouring pits on a track never overlap: a land has 3 T.
-                heights[:, columns] -= depth * t * t * (3.0 - 2.0 * t)
-            position += run * bit
-    step = f"{tracks} tracks of {bits} channel bits at {bit * CHANNEL_BIT_RATE:.4f} m/s"
+        heights[:, columns] = -depth * discs.pits(
+            y,
+            x[columns] - (track + 0.5) * pitch,
+            discs.run_lengths(bits, draws[track, 1:]),
+            bit=bit,
+            start=draws[track, 0] * ny * dy,
+            width=float(width),
+            wall=float(wall),
+        )
+    step = f"{tracks} tracks of {bits} channel bits at {bit * discs.CHANNEL_BIT_RATE:.4f} m/s"
     return _heightfield(jnp.asarray(heights, _dtype()), pixel, "compact disc", step)
 
 
@@ -187,7 +165,7 @@ def random_bumps(
     sigma: Number | tuple[Number, Number] = (0.5, 0.25),
     density: Number = 1.0,
 ) -> Heightfield:
-    """Return Gaussian bumps at random places (Stam, Diffraction shaders, 1999, section 4.2).
+    """Return Gaussian bumps at random places (Stam, Diffraction shaders, SIGGRAPH 1999).
 
     h = sum of height exp(-x^2 / (2 sx^2) - y^2 / (2 sy^2)) about points of a Poisson process.
 
@@ -386,37 +364,6 @@ def _whole(shape: tuple[int, int], pixel: Pixel, period: Number, what: str) -> i
 def _between_samples(pixel: Pixel, period: Number) -> float:
     """Shift that puts the jump at x = 0 half a pixel before it, where rounding cannot reach."""
     return -0.5 * pair(pixel, "pixel")[1] / float(period)
-
-
-def _run_lengths(bits: int, draws: np.ndarray) -> list[int]:
-    """Alternating run lengths, even in number, with the sum ``bits``; exact conditional draws."""
-    runs = np.arange(SHORTEST_RUN, LONGEST_RUN + 1)
-    weight = _maxentropic() ** -runs.astype(np.float64)
-    # ways[p, n]: total weight of sequences of sum n with p = number of runs modulo 2.
-    ways = np.zeros((2, bits + 1))
-    ways[0, 0] = 1.0
-    for n in range(SHORTEST_RUN, bits + 1):
-        before = n - runs[runs <= n]
-        ways[:, n] = ways[::-1, before] @ weight[: len(before)]
-    result, left, parity = [], bits, 0
-    while left:
-        possible = runs[runs <= left]
-        odds = np.cumsum(weight[: len(possible)] * ways[1 - parity, left - possible])
-        draw = draws[len(result)] * odds[-1]
-        run = int(possible[min(np.searchsorted(odds, draw, side="right"), len(possible) - 1)])
-        result.append(run)
-        left, parity = left - run, 1 - parity
-    return result
-
-
-def _maxentropic() -> float:
-    """Root of sum over run lengths of root^-n = 1 (1.4558, capacity 0.5418 bits), by bisection."""
-    low, high = 1.0, 2.0
-    for _ in range(60):
-        middle = (low + high) / 2
-        total = sum(middle**-n for n in range(SHORTEST_RUN, LONGEST_RUN + 1))
-        low, high = (middle, high) if total > 1 else (low, middle)
-    return low
 
 
 def _periodic_gaussians(place: np.ndarray, n: int, step: float, sigma: float) -> np.ndarray:

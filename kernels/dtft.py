@@ -116,7 +116,7 @@ def bin_weights(
         Width of exp(-df^2 / spread^2), cycles per micrometre, [...].
     """
     bins = jnp.arange(samples, dtype=frequency.dtype) / (samples * step)
-    distance = frequency[..., None] - bins
+    distance = frequency[..., None] - bins.reshape((1,) * frequency.ndim + (samples,))
     # The spectrum of samples is periodic with 1/step: the nearest alias counts.
     distance = distance - jnp.round(distance * step) / step
     return jnp.exp(-((distance / spread[..., None]) ** 2))

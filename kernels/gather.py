@@ -198,7 +198,7 @@ def averaged(
 
 def _is_zero(first: Array, samples: int, taps: int) -> Array:
     """Which of the taps is the zero frequency, modulo the table's period."""
-    bins = first + jnp.arange(taps) - (taps // 2 + samples // 2)
+    bins = first + jnp.arange(taps, dtype=first.dtype) - (taps // 2 + samples // 2)
     return jnp.mod(bins, samples) == 0
 
 

@@ -113,7 +113,8 @@ def chebyshev_bound(z: float, nodes: int) -> float:
         total += term
         # Past k = z the terms fall at least geometrically by a half.
         if (k > z and term < 1e-3 * total) or k > nodes + 10_000:
-            return min(4.0 * total, 2.0)
+            # Never more than 1 + the Lebesgue constant of these points.
+            return min(4.0 * total, 2.0 + 2.0 / math.pi * math.log(nodes + 1))
         k += 1
 
 

@@ -185,6 +185,7 @@ class TestSampling:
         ("arguments", "text"),
         [
             ({"wavelength": 0.0}, "wavelength=0.0"),
+            ({"wavelength": np.zeros(0)}, "wavelength=inf"),
             ({"wavelength": 0.5, "u_max": 2.5}, "u_max=2.5"),
             ({"wavelength": 0.5, "max_angle": 2.0}, "max_angle=2.0"),
             ({"wavelength": 0.5, "max_angle": 1.0, "u_max": 1.0}, "either"),

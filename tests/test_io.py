@@ -643,13 +643,10 @@ def test_a_large_offset_does_not_cost_float32_its_resolution(tmp_path):
     import jax
 
     np.save(tmp_path / "scan.npy", HEIGHTS + 20_000)
-    jax.config.update("jax_enable_x64", False)
-    try:
+    with jax.enable_x64(False):
         scan = Heightfield.load(tmp_path / "scan.npy", pixel_size=0.1, height_unit="um")
         assert scan.heights.dtype == jnp.float32
         # float32 steps at 20 mm are 2 nm; the heights come out to 1e-7 um.
         rest = np.asarray(scan.heights, np.float64) - (HEIGHTS - HEIGHTS.mean())
         assert np.abs(rest).max() < 1e-7
         assert "offset of 20000" in scan.provenance.notes[0]
-    finally:
-        jax.config.update("jax_enable_x64", True)

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffopt import samples
+from diffopt import discs, samples
 from diffopt.errors import InputError
 from diffopt.heightfield import Heightfield
 
@@ -57,6 +57,36 @@ def test_another_key_gives_another_surface(name):
 def test_unknown_name_lists_the_others():
     with pytest.raises(InputError, match=r"no sample 'vinyl'; expected one of binary_grating"):
         samples.make("vinyl")
+
+
+class TestRunLengths:
+    def test_distribution_is_that_of_the_greatest_entropy(self, rng):
+        runs = discs.run_lengths(50_000, rng.random(50_000))
+        assert sum(runs) == 50_000
+        assert len(runs) % 2 == 0
+        # sum_n 1.4558^-n = 1 over 3 to 11; mean sum_n n 1.4558^-n.
+        odds = 1.4558 ** -np.arange(3.0, 12.0)
+        assert odds.sum() == pytest.approx(1.0, abs=1e-4)
+        counts = np.bincount(runs, minlength=12)
+        assert counts[:3].sum() == 0
+        expected = odds * len(runs)
+        chi_square = np.sum((counts[3:] - expected) ** 2 / expected)
+        # Eight degrees of freedom: 26.1 is exceeded once in a thousand; the key is fixed.
+        assert chi_square < 26.1
+
+    @pytest.mark.parametrize("bits", [6, 7, 11, 23, 29])
+    def test_short_tracks_are_filled_exactly(self, rng, bits):
+        for _ in range(20):
+            runs = discs.run_lengths(bits, rng.random(bits))
+            assert sum(runs) == bits
+            assert len(runs) % 2 == 0
+            assert min(runs) >= 3
+            assert max(runs) <= 11
+
+    def test_the_velocity_is_raised_until_bits_fit(self):
+        bits, bit = discs.whole_bits(12.8, 1.2)
+        assert bits * bit == pytest.approx(12.8)
+        assert 1.2 <= bit * 4.3218 < 1.2 * (bits + 1) / bits
 
 
 class TestCompactDisc:
@@ -123,7 +153,7 @@ class TestCompactDisc:
             ({"velocity": 1.0}, "expected 1.2 to 1.4 m/s"),
             ({"wall": 0.0}, "wall=0.0"),
             ({"width": 1.55}, "width=1.55"),
-            ({"shape": (32, 64)}, "do not hold whole channel bits"),
+            ({"shape": (32, 64)}, "does not hold whole channel bits"),
         ],
     )
     def test_geometry_is_checked(self, options, text):

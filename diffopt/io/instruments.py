@@ -74,6 +74,7 @@ def _read(path: Path, options: Options, open_topography) -> Record:
         topography = reader.topography(channel_index=channel.index, **arguments)
         heights = topography.heights()
     if channel.unit is None:
+        # The package keeps one unit for lengths in all three directions.
         scale = options.unit(path)
         lateral = 1.0 if channel.physical_sizes is None else scale
     else:

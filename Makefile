@@ -1,0 +1,41 @@
+# Two commands do everything on a fresh machine with Python 3.11 or newer:
+#   make demo   install, run the demonstration, say where the pictures are
+#   make test   install with the test tools, run the suite
+# A second run reinstalls nothing. PYTHON=python3.13 picks an interpreter.
+
+NEW_ENOUGH = 'import sys; sys.exit(sys.version_info < (3, 11))'
+PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python3.14; do \
+	$$p -c $(NEW_ENOUGH) 2>/dev/null && echo $$p && break; done)
+VENV ?= .venv
+RUN = $(VENV)/bin/python
+JOBS ?= 2
+
+.PHONY: demo test lint notebooks clean
+
+demo: $(VENV)/installed
+	$(RUN) -m diffopt demo -o out/demo
+
+test: $(VENV)/installed-test
+	$(RUN) -m pytest -n $(JOBS)
+	DIFFOPT_TEST_X64=0 $(RUN) -m pytest -n $(JOBS) -m "not slow" tests/kernels tests/test_methods.py
+
+lint: $(VENV)/installed-test
+	$(RUN) -m ruff check .
+	$(RUN) -m ruff format --check .
+	$(RUN) -m pyright
+
+$(VENV)/created:
+	@test -n "$(PYTHON)" || { echo "make: Python 3.11 or newer not found; set PYTHON=/path/to/python3" >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	touch $@
+
+$(VENV)/installed: $(VENV)/created pyproject.toml constraints.txt
+	$(RUN) -m pip install --disable-pip-version-check -q -c constraints.txt -e .
+	touch $@
+
+$(VENV)/installed-test: $(VENV)/created pyproject.toml constraints.txt
+	$(RUN) -m pip install --disable-pip-version-check -q -c constraints.txt -e ".[test]"
+	touch $(VENV)/installed $@
+
+clean:
+	rm -rf out build dist *.egg-info .pytest_cache .ruff_cache

@@ -1,0 +1,460 @@
+"""Studies of the diffraction methods: terms, window, patch, wavelength step, nodes, rounding.
+
+Inputs are the same on every machine and with either type: heights are drawn in float64 and
+rounded to float32 once, so that both types see the same surface. Directions and wavelengths
+are rounded by each type for itself, as they are for a caller.
+"""
+
+import functools
+import math
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from diffopt import bounds, colour, methods, samples
+from diffopt.choice import sample_pairs
+from diffopt.diffraction import DiffractionBRDF, evaluate
+from diffopt.heightfield import Heightfield
+from diffopt.kernels import phase
+from diffopt.methods import Coverage, Surface
+from diffopt.settings import DirectSettings, SeparableSettings, Settings, TaylorSettings
+from diffopt.studies import Case, Job, Study
+
+# The shortest visible wavelength has the largest phases.
+SHORTEST = 0.38
+DIRECT = "the direct sum in float64"
+TO_PEAK = "largest error of |P|^2 relative to a mirror's peak"
+
+
+def make_surface(
+    heights: Any, pixel: float, sigma: Any, coverage: Coverage, dtype: str = "float32"
+) -> Surface:
+    """A surface for the methods themselves, past the checks of `DiffractionBRDF`.
+
+    Parameters
+    ----------
+    heights
+        Micrometres, [ny, nx].
+    pixel, sigma
+        Micrometres.
+    coverage
+        ``positions``, ``window`` or ``patch``, see `diffopt.methods.Surface`.
+    dtype
+        Of heights and sigma.
+    """
+    return Surface(
+        heights=jnp.asarray(heights, dtype),
+        sigma=jnp.asarray(sigma, dtype),
+        center=jnp.zeros(2, dtype),
+        blur=jnp.zeros((), dtype),
+        pixel=(pixel, pixel),
+        coverage=coverage,
+        repeats=(1, 1),
+        prefactor="stam",
+        drop_mean=False,
+    )
+
+
+def wave_vectors(count: int) -> np.ndarray:
+    """Wave vectors [count + 1, 3] of pairs within 75 degrees and of the mirror at 0."""
+    wi, wo = sample_pairs(count)
+    return np.append(-(wi + wo), [[0.0, 0.0, -2.0]], 0)
+
+
+def method(surface: Surface, wave, wavelengths, settings: Settings):
+    """|P|^2 by the method of the settings, with everything it sets up."""
+    if isinstance(settings, DirectSettings):
+        return methods.direct(surface, wave, wavelengths, settings)
+    if isinstance(settings, SeparableSettings):
+        return methods.separable_pairs(surface, wave, wavelengths, settings)
+    tables = methods.taylor_tables(surface, settings)
+    return methods.taylor(surface, wave, wavelengths, settings, tables)
+
+
+def over_stack(
+    pixel: float, coverage: Coverage, settings: Settings
+) -> Callable[[Any, Any, Any, Any], Any]:
+    """Function of (heights [S, ny, nx], sigma, wave, wavelengths): |P|^2 [S, M, L]."""
+
+    def run(stack, sigma, wave, wavelengths):
+        def one(heights):
+            surface = make_surface(heights, pixel, sigma, coverage, heights.dtype)
+            return method(surface, wave, wavelengths, settings)
+
+        return jax.lax.map(one, stack)
+
+    return run
+
+
+def truth(
+    stack: np.ndarray,
+    pixel: float,
+    sigma: float,
+    coverage: Coverage,
+    wave: np.ndarray,
+    wavelengths: np.ndarray,
+) -> np.ndarray:
+    """The direct sum in float64, [S, M, L], with or without 64-bit types around it."""
+    with jax.enable_x64(True):
+        arguments = (jnp.asarray(a, "float64") for a in (stack, sigma, wave, wavelengths))
+        return np.asarray(_compiled_truth(pixel, coverage)(*arguments))
+
+
+@functools.cache
+def _compiled_truth(pixel: float, coverage: Coverage):
+    return jax.jit(over_stack(pixel, coverage, DirectSettings()))
+
+
+def stack_job(
+    stack: np.ndarray,
+    pixel: float,
+    sigma: float,
+    coverage: Coverage,
+    wave: np.ndarray,
+    settings: Settings,
+    dtype: str,
+    *,
+    reference: np.ndarray | None = None,
+    names: tuple[str, ...] = (),
+    function: Callable | None = None,
+    gradient: int | None = None,
+) -> Job:
+    """Job of one method on a stack of surfaces, with its a-priori bound.
+
+    The note gives the largest error of each surface if `names` are given, otherwise the
+    mean error relative to the mean.
+    """
+    wavelengths = np.array([SHORTEST])
+    expected = (
+        truth(stack, pixel, sigma, coverage, wave, wavelengths) if reference is None else reference
+    )
+
+    def judge(value):
+        error = np.abs(np.asarray(value, np.float64) - expected)
+        if names:
+            each = error.reshape(len(names), -1).max(1)
+            note = ", ".join(f"{n} {e:.1e}" for n, e in zip(names, each, strict=True))
+        else:
+            note = f"mean over mean {error.mean() / expected.mean():.1e}"
+        return float(error.max()), note
+
+    return Job(
+        function=function or over_stack(pixel, coverage, settings),
+        arguments=tuple(jnp.asarray(a, dtype) for a in (stack, sigma, wave, wavelengths)),
+        judge=judge,
+        bound=max(
+            bounds.error_bound(
+                make_surface(h, pixel, sigma, coverage, dtype), settings, wave, wavelengths
+            )
+            for h in stack
+        ),
+        gradient=gradient,
+    )
+
+
+def hard_and_random(phase_range: float, samples_per_side: int) -> np.ndarray:
+    """A binary grating, whose samples all err alike, and random heights: [2, n, n].
+
+    `phase_range` is that of the mirror direction at `SHORTEST`.
+    """
+    n = samples_per_side
+    height = phase_range * SHORTEST / (2.0 * phase.TWO_PI)
+    binary = np.broadcast_to(np.arange(n) // 8 % 2, (n, n))
+    random = np.random.default_rng(1).uniform(size=(n, n))
+    # The whole range is there, so that the phase range is what it says.
+    random.flat[:2] = 0.0, 1.0
+    return (height * np.stack([binary, random])).astype(np.float32)
+
+
+def _terms(quick: bool) -> list[Case]:
+    pixel, sigma, n = 0.1, 1.6, 64  # 4 sigma_s a side: 6 bins leave less than 1e-20 out
+    wave = wave_vectors(31)
+    ranges = (1.0, 10.0) if quick else (1.0, 1.5 * math.pi, 10.0, 30.0)
+    counts = (12, 28) if quick else (8, 12, 16, 20, 28, 40, 60, 90)
+
+    @functools.cache
+    def expected(x):
+        return truth(hard_and_random(x, n), pixel, sigma, "window", wave, np.array([SHORTEST]))
+
+    def case(x, dtype, centred, terms):
+        settings = TaylorSettings(terms=terms, reach=6, centred=centred)
+        return Case(
+            {"phase_range": round(x, 3), "dtype": dtype, "centred": centred, "terms": terms},
+            dtype,
+            lambda: stack_job(
+                hard_and_random(x, n),
+                pixel,
+                sigma,
+                "window",
+                wave,
+                settings,
+                dtype,
+                reference=expected(x),
+                names=("binary", "random"),
+            ),
+            (dtype, centred, terms),
+        )
+
+    return [
+        case(x, dtype, centred, terms)
+        for x in ranges
+        for dtype in (("float32",) if quick else ("float32", "float64"))
+        for centred in (False, True)
+        for terms in counts
+    ]
+
+
+TERMS = Study(
+    name="diffraction.terms",
+    quantity=f"Taylor terms of exp(i k w h), {TO_PEAK}; time with the tables",
+    reference=DIRECT,
+    cases=_terms,
+    conditions=("phase_range",),
+)
+
+
+@functools.cache
+def _rough(n: int, pixel: float) -> np.ndarray:
+    """Gaussian roughness, 0.05 um over 0.5 um, [n, n]."""
+    with jax.enable_x64(True):
+        surface = samples.gaussian_roughness(
+            jax.random.key(0), shape=(n, n), pixel=pixel, rms=0.05, correlation_length=0.5
+        )
+        return np.asarray(surface.heights, np.float32)
+
+
+def _window(quick: bool) -> list[Case]:
+    pixel, n = 0.1, 64
+    wave = wave_vectors(63)
+    stack = _rough(n, pixel)[None]
+
+    def case(average: Coverage, ratio, reach):
+        # Truncation of 60 terms over the phase range of about 10 is below 1e-20.
+        settings = TaylorSettings(terms=60, reach=reach)
+        return Case(
+            {"average": average, "side_over_sigma": ratio, "reach": reach},
+            "float64",
+            lambda: stack_job(stack, pixel, n * pixel / ratio, average, wave, settings, "float64"),
+            (average, reach),
+        )
+
+    return [
+        case(average, ratio, reach)
+        for average in ("window", "positions")
+        for ratio in (4, 8)
+        for reach in ((2, 4) if quick else range(1, 9))
+    ]
+
+
+WINDOW = Study(
+    name="diffraction.window",
+    quantity=f"Fourier bins gathered on either side, {TO_PEAK}",
+    reference=f"{DIRECT} under the window itself",
+    cases=_window,
+    conditions=("average", "side_over_sigma"),
+)
+
+
+def _patch(quick: bool) -> list[Case]:
+    pixel, sigma, large = 0.125, 1.25, 160  # 16 sigma_s a side: exp(-32) at its edge
+    wave = wave_vectors(63)
+    shifts = [(37 * i % large, 59 * i % large) for i in range(2 if quick else 8)]
+    whole = np.stack([np.roll(_rough(large, pixel), shift, (0, 1)) for shift in shifts])
+
+    @functools.cache
+    def expected():
+        return truth(whole, pixel, sigma, "window", wave, np.array([SHORTEST]))
+
+    def case(ratio):
+        def build():
+            half = ratio * round(sigma / pixel) // 2
+            cut = slice(large // 2 - half, large // 2 + half)
+            stack, scale = whole[:, cut, cut], expected().mean()
+            job = stack_job(
+                stack,
+                pixel,
+                sigma,
+                "window",
+                wave,
+                DirectSettings(),
+                "float64",
+                reference=expected(),
+            )
+
+            def judge(value):
+                error = np.abs(np.asarray(value) - expected())
+                worst = error.max() / expected().max()
+                return float(error.mean() / scale), f"largest over largest {worst:.1e}"
+
+            estimate = DiffractionBRDF(Heightfield(stack[0], pixel), sigma, average="window")
+            return Job(job.function, job.arguments, judge, estimate.patch_error())
+
+        return Case({"side_over_sigma": ratio}, "float64", build)
+
+    return [case(ratio) for ratio in ((4, 8) if quick else (3, 4, 5, 6, 8, 10))]
+
+
+PATCH = Study(
+    name="diffraction.patch",
+    quantity="a patch cut out of a rough surface, mean error of |P|^2 over its mean; "
+    "beside it the estimate patch_error()",
+    reference=f"{DIRECT} on the surface, 16 sigma_s wide",
+    cases=_patch,
+)
+
+
+def _step(quick: bool) -> list[Case]:
+    period, pixel, n = 2.0, 0.0625, 512
+    line = 0.1 * np.cos(2.0 * np.pi * (np.arange(n) - n // 2) * pixel / period)
+    heights = np.broadcast_to(line, (2, n)).astype(np.float32)
+    u = np.linspace(-0.95, 0.95, 96 if quick else 191)
+    wo = np.stack([u, 0.0 * u, np.sqrt(1.0 - u**2)], -1)
+    wi = np.array([0.0, 0.0, 1.0])
+
+    def brdf(sigma, dtype):
+        # Nothing varies along y: two samples there, sigma_s apart, hold the window.
+        scan = Heightfield(jnp.asarray(heights, dtype), pixel=(sigma, pixel))
+        return DiffractionBRDF(scan, sigma, balance="peak")
+
+    def xyz(model, wo, wavelengths, weights):
+        return evaluate(
+            model,
+            jnp.asarray(wi, wo.dtype),
+            wo,
+            wavelengths,
+            DirectSettings(),
+            output="xyz",
+            weights=weights,
+        )
+
+    @functools.cache
+    def expected(sigma):
+        with jax.enable_x64(True):
+            rule = colour.ColourSettings(step_nm=1.0).quadrature()
+            return np.asarray(jax.jit(xyz)(brdf(sigma, "float64"), wo, *rule))
+
+    def case(sigma, step, bands, count):
+        settings = colour.ColourSettings(step_nm=step, bands=bands, samples=count)
+
+        def judge(value):
+            value, right = np.asarray(value, np.float64), expected(sigma)
+            error = np.abs(value - right)
+            difference = colour.delta_e_2000(right, value)
+            return float(error.max() / right.max()), (
+                f"mean over mean {error.mean() / right.mean():.1e}, delta E 2000 "
+                f"mean {difference.mean():.2g} max {difference.max():.2g}"
+            )
+
+        def build():
+            rule = [jnp.asarray(a, "float32") for a in settings.quadrature()]
+            arguments = (brdf(sigma, "float32"), jnp.asarray(wo, "float32"), *rule)
+            return Job(xyz, arguments, judge)
+
+        name = f"{step:g} nm" if bands == "full" else f"three bands x {count}"
+        return Case({"sigma_um": sigma, "wavelengths": name}, "float32", build)
+
+    rules = [(5.0, "full", 1), (20.0, "full", 1), (5.0, "three", 1)]
+    if not quick:
+        rules = [(s, "full", 1) for s in (1.0, 2.0, 2.5, 5.0, 10.0, 20.0)]
+        rules += [(5.0, "three", 1), (5.0, "three", 2)]
+    return [
+        case(sigma, *rule) for sigma in ((5.0,) if quick else (1.25, 5.0, 16.0)) for rule in rules
+    ]
+
+
+STEP = Study(
+    name="diffraction.step",
+    quantity="wavelength step for a sinusoidal grating (period 2 um, amplitude 0.1 um) seen in "
+    "its plane, largest error of XYZ over the largest XYZ",
+    reference="the same in float64 at 1 nm",
+    cases=_step,
+    conditions=("sigma_um",),
+)
+
+
+def _nodes(quick: bool) -> list[Case]:
+    n, pixel, sigma = (128, 0.1, 1.6) if quick else (256, 0.05, 1.6)
+    wave = wave_vectors(31 if quick else 127)
+    with jax.enable_x64(True):
+        disc = samples.compact_disc(jax.random.key(0), shape=(n, n), pixel=pixel)
+        stack = np.asarray(disc.heights, np.float32)[None]
+
+    @functools.cache
+    def expected(average):
+        return truth(stack, pixel, sigma, average, wave, np.array([SHORTEST]))
+
+    def case(average, dtype, nodes):
+        return Case(
+            {"average": average, "dtype": dtype, "nodes": nodes},
+            dtype,
+            lambda: stack_job(
+                stack,
+                pixel,
+                sigma,
+                average,
+                wave,
+                SeparableSettings(nodes=nodes),
+                dtype,
+                reference=expected(average),
+                gradient=None if quick else 0,
+            ),
+        )
+
+    return [
+        case(average, dtype, nodes)
+        for average in (("positions",) if quick else ("positions", "window"))
+        for dtype in ("float32", "float64")
+        for nodes in ((2, 6) if quick else (1, 2, 3, 4, 5, 6, 8, 10, 12))
+    ]
+
+
+NODES = Study(
+    name="diffraction.nodes",
+    quantity=f"Chebyshev nodes in w on a compact disc, {TO_PEAK}",
+    reference=DIRECT,
+    cases=_nodes,
+    conditions=("average",),
+)
+
+
+def _rounding(quick: bool) -> list[Case]:
+    sides = ((64, 0.1),) if quick else ((64, 0.1), (256, 0.1), (512, 0.2))
+    ranges = (1.0, 250.0) if quick else (1.0, 5.0, 25.0, 100.0, 250.0)
+    wave = wave_vectors(31)
+
+    def case(average, side, x):
+        n, pixel = side
+        return Case(
+            {"average": average, "side_um": n * pixel, "phase_range": x},
+            "float32",
+            lambda: stack_job(
+                hard_and_random(x, n),
+                pixel,
+                n * pixel / 8.0,
+                average,
+                wave,
+                DirectSettings(),
+                "float32",
+                names=("binary", "random"),
+            ),
+            (average, side),
+        )
+
+    return [
+        case(average, side, x)
+        for average in ("positions", "window", "patch")
+        for side in sides
+        for x in ranges
+    ]
+
+
+ROUNDING = Study(
+    name="diffraction.rounding",
+    quantity=f"rounding of the direct sum in float32, {TO_PEAK}; beside it the estimate",
+    reference=DIRECT,
+    cases=_rounding,
+    conditions=("average", "side_um", "phase_range"),
+)

@@ -1,0 +1,193 @@
+"""Curved surfaces under a camera: the local frame of the material at every sample of a picture.
+
+Plain NumPy geometry in float64, ray against closed form; lengths in any one unit, because
+only directions leave this module. The material's x axis is the tangent, z the normal.
+"""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from diffopt.errors import InputError
+
+Vectors = Float[np.ndarray, "h w 3"]
+
+# Compact disc, radii in mm (IEC 60908: hole 15 mm, recorded area up to 116 mm, disc 120 mm in
+# diameter; the lead-in starts at 46 mm, the mirror band around it inside).
+HOLE_RADIUS, RECORDED_RADII, DISC_RADIUS = 7.5, (22.0, 58.0), 60.0
+
+
+@dataclasses.dataclass(frozen=True)
+class View:
+    """What the samples of a picture see; rows run down the picture.
+
+    Attributes
+    ----------
+    position
+        Points on the surface, [h, w, 3].
+    tangent, normal
+        Unit vectors of the material's x and z axes in the world, [h, w, 3]; y is
+        normal x tangent.
+    eye
+        Unit vectors from the points to the camera, [h, w, 3].
+    covered
+        Whether the sample sees the material's front; elsewhere the vectors mean nothing.
+    neutral
+        Whether it sees a part of the body without the material (the hub of a disc).
+    """
+
+    position: Vectors
+    tangent: Vectors
+    normal: Vectors
+    eye: Vectors
+    covered: Bool[np.ndarray, "h w"]
+    neutral: Bool[np.ndarray, "h w"]
+
+    def local(self, world: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
+        """Directions in the material's frame, [h, w, 3], from world vectors [h, w, 3] or [3]."""
+        axes = (self.tangent, np.cross(self.normal, self.tangent), self.normal)
+        return np.stack([(axis * world).sum(-1) for axis in axes], axis=-1)
+
+    def towards(self, point: Float[np.ndarray, "3"]) -> Vectors:
+        """Unit vectors from the surface to a point, [h, w, 3]."""
+        return unit(np.asarray(point, np.float64) - self.position)
+
+
+def unit(vectors: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
+    """Vectors divided by their lengths."""
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def sphere(size: int, *, margin: float = 0.04) -> View:
+    """Unit sphere seen along -z by an orthographic camera.
+
+    The tangent runs along the parallels about the vertical axis; there is no tangent at the
+    two poles, which are not covered.
+
+    Parameters
+    ----------
+    size
+        Samples on a side.
+    margin
+        Empty border, as a share of the radius.
+    """
+    x, y = _screen(size, 1.0 + margin)
+    r2 = x * x + y * y
+    z = np.sqrt(np.maximum(1.0 - r2, 0.0))
+    normal = np.stack([x, y, z], axis=-1)
+    across = np.hypot(x, z)
+    covered = (r2 < 1.0) & (across > 1e-9)
+    safe = np.where(covered, across, 1.0)
+    tangent = np.stack([z / safe, np.zeros_like(x), -x / safe], axis=-1)
+    eye = np.broadcast_to([0.0, 0.0, 1.0], normal.shape)
+    return View(normal, tangent, normal, eye, covered, np.zeros_like(covered))
+
+
+def sheet(
+    size: int,
+    *,
+    bend_deg: float = 100.0,
+    width: float = 1.0,
+    eye: tuple[float, float, float] = (0.0, 2.2, 3.4),
+) -> View:
+    """Sheet of unit radius bent about the horizontal x axis, seen by a near camera.
+
+    The sheet is part of the cylinder y^2 + z^2 = 1, convex towards the camera; the material's
+    x axis runs along the bend (in the direction of curvature), its y axis along -x.
+
+    Parameters
+    ----------
+    size
+        Samples on a side.
+    bend_deg
+        Angle of the arc, degrees, above 0 and at most 180.
+    width
+        Half the length along the axis, in radii.
+    eye
+        Camera position; it looks at the middle of the sheet.
+    """
+    if not 0.0 < bend_deg <= 180.0:
+        raise InputError(f"bend_deg={bend_deg:g}: expected degrees above 0, at most 180")
+    # The middle of the arc looks half way up, so that the camera and a light above share it.
+    middle = np.radians(60.0)
+    target = np.array([0.0, np.sin(middle), np.cos(middle)]) * 0.93
+    origin, rays = _camera(size, np.array(eye), target, half_width=1.12 * width)
+    # Nearest crossing of origin + t ray with y^2 + z^2 = 1.
+    a = (rays[..., 1:] ** 2).sum(-1)
+    b = (rays[..., 1:] * origin[1:]).sum(-1)
+    c = (origin[1:] ** 2).sum() - 1.0
+    root = b * b - a * c
+    t = (-b - np.sqrt(np.maximum(root, 0.0))) / np.maximum(a, 1e-12)
+    position = origin + t[..., None] * rays
+    angle = np.arctan2(position[..., 1], position[..., 2])
+    on_sheet = (np.abs(position[..., 0]) <= width) & (
+        np.abs(angle - middle) <= np.radians(0.5 * bend_deg)
+    )
+    covered = (root > 0.0) & (t > 0.0) & on_sheet
+    zero = np.zeros_like(angle)
+    normal = np.stack([zero, np.sin(angle), np.cos(angle)], axis=-1)
+    tangent = np.stack([zero, np.cos(angle), -np.sin(angle)], axis=-1)
+    return View(position, tangent, normal, -rays, covered, np.zeros_like(covered))
+
+
+def disc(
+    size: int,
+    *,
+    eye: tuple[float, float, float] = (0.0, -190.0, 260.0),
+    recorded: tuple[float, float] = RECORDED_RADII,
+) -> View:
+    """Compact disc in the plane z = 0, in mm, seen by a near camera.
+
+    The material's x axis is radial, so that tracks, which run along its y axis, are
+    concentric circles. The hub and the rim are `neutral`, the hole is empty.
+
+    Parameters
+    ----------
+    size
+        Samples on a side.
+    eye
+        Camera position, above the plane; it looks at the hole.
+    recorded
+        Inner and outer radius of the recorded area.
+    """
+    if not eye[2] > 0.0:
+        raise InputError(f"eye={eye}: expected a camera above the disc, z > 0")
+    origin, rays = _camera(
+        size, np.array(eye), np.array([0.0, -3.0, 0.0]), half_width=1.08 * DISC_RADIUS
+    )
+    down = np.minimum(rays[..., 2], -1e-9)
+    position = origin - (origin[2] / down)[..., None] * rays
+    radius = np.hypot(position[..., 0], position[..., 1])
+    hit = rays[..., 2] < 0.0
+    inside = hit & (radius >= HOLE_RADIUS) & (radius <= DISC_RADIUS)
+    covered = inside & (radius >= recorded[0]) & (radius <= recorded[1])
+    safe = np.maximum(radius, 1e-9)[..., None]
+    tangent = position * [1.0, 1.0, 0.0] / safe
+    normal = np.broadcast_to([0.0, 0.0, 1.0], position.shape)
+    return View(position, tangent, normal, -rays, covered, inside & ~covered)
+
+
+def _screen(
+    size: int, half: float
+) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+    """Coordinates x (to the right) and y (up) of the samples' centres."""
+    if size < 2:
+        raise InputError(f"size={size}: expected at least 2 samples on a side")
+    line = ((np.arange(size) + 0.5) / size * 2.0 - 1.0) * half
+    x, y = np.meshgrid(line, -line)
+    return x, y
+
+
+def _camera(
+    size: int, eye: np.ndarray, target: np.ndarray, *, half_width: float
+) -> tuple[Float[np.ndarray, "3"], Vectors]:
+    """Pinhole camera: its position and unit rays; the frame is half_width wide at the target."""
+    forward = unit(target - eye)
+    up = np.array([0.0, 1.0, 0.0])
+    right = unit(np.cross(forward, up))
+    x, y = _screen(size, half_width)
+    distance = float(np.linalg.norm(target - eye))
+    above = np.cross(right, forward)
+    rays = distance * forward + x[..., None] * right + y[..., None] * above
+    return eye.astype(np.float64), unit(rays)

@@ -1,0 +1,425 @@
+"""Accuracy against time: what a faster answer costs.
+
+A `Study` names a quantity and a trusted reference, and builds cases: one approximation at
+one choice of its settings, on one problem. Running it gives rows with the measured error,
+the bound known beforehand where there is one, and the cost. Every approximation of the
+toolkit registers a study in `NAMES`.
+
+>>> result = study("diffraction.window").run(quick=True)
+>>> result.where(average="window").cheapest(1e-3).settings["reach"]
+"""
+
+import csv
+import io
+import itertools
+import os
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from diffopt.errors import InputError
+from diffopt.io.files import replacing
+from diffopt.measurement import compile_ahead, measure
+
+# Where each study is defined; modules are imported when a study is asked for.
+NAMES: dict[str, str] = {
+    "diffraction.nodes": "diffopt.diffraction_studies:NODES",
+    "diffraction.patch": "diffopt.diffraction_studies:PATCH",
+    "diffraction.rounding": "diffopt.diffraction_studies:ROUNDING",
+    "diffraction.step": "diffopt.diffraction_studies:STEP",
+    "diffraction.terms": "diffopt.diffraction_studies:TERMS",
+    "diffraction.window": "diffopt.diffraction_studies:WINDOW",
+}
+
+Value = str | int | float | bool
+# Called before each case with its number from 0, the number of cases, and its settings.
+Progress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One approximation at one choice of settings on one problem.
+
+    Attributes
+    ----------
+    settings
+        Names and values, the problem's conditions among them.
+    error
+        Measured, in the terms of the study's quantity.
+    bound
+        Known before the run; None where there is none.
+    compile_s, run_s, gradient_s, flops, peak_bytes
+        See `diffopt.measurement.Measurement`. Cases that differ in the values of their
+        arguments only share one compilation.
+    note
+        Anything else that was measured.
+    """
+
+    settings: dict[str, Value]
+    error: float
+    bound: float | None
+    compile_s: float
+    run_s: float
+    gradient_s: float | None = None
+    flops: float | None = None
+    peak_bytes: int | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a case runs: a function of arrays, its arguments, and how its result is judged.
+
+    Attributes
+    ----------
+    function, arguments
+        Compiled and timed by `diffopt.measurement.measure`.
+    judge
+        From the result to (error, note).
+    bound
+        Error bound known beforehand.
+    gradient
+        Position of the argument whose gradient is timed as well.
+    """
+
+    function: Callable[..., Any]
+    arguments: tuple
+    judge: Callable[[Any], tuple[float, str]]
+    bound: float | None = None
+    gradient: int | None = None
+
+
+@dataclass(frozen=True)
+class Case:
+    """Settings, and how to set up the job: `build` runs with 64-bit types on or off.
+
+    Attributes
+    ----------
+    settings
+        As they will stand in the row.
+    dtype
+        ``"float32"`` runs as most users do, without 64-bit types; ``"float64"`` with them,
+        within this case only.
+    build
+        Makes the job.
+    program
+        Cases of one study with the same value (not None) share one compilation.
+    """
+
+    settings: dict[str, Value]
+    dtype: str
+    build: Callable[[], Job]
+    program: Hashable = None
+
+
+@dataclass(frozen=True)
+class Study:
+    """A quantity, a reference, and the cases in which an approximation is tried.
+
+    Attributes
+    ----------
+    name
+        As in `NAMES`.
+    quantity
+        What the error is of, and relative to what.
+    reference
+        What it is measured against.
+    cases
+        From ``quick`` to the list of cases.
+    conditions
+        Names among the settings that state the problem instead of the approximation: only
+        rows with equal conditions compete with each other.
+    """
+
+    name: str
+    quantity: str
+    reference: str
+    cases: Callable[[bool], list[Case]]
+    conditions: tuple[str, ...] = ()
+
+    def run(
+        self, quick: bool = False, progress: Progress | None = None, repeats: int = 5
+    ) -> "StudyResult":
+        """Run every case.
+
+        Parameters
+        ----------
+        quick
+            Fewer and smaller cases, seconds instead of up to a minute.
+        progress
+            Called as ``progress(done, total, text)`` before each case and at the end.
+        repeats
+            Timed runs of each case.
+        """
+        cases = self.cases(quick)
+        programs: dict[Hashable, Any] = {}
+        rows = []
+        for done, case in enumerate(cases):
+            if progress is not None:
+                progress(done, len(cases), _label(case.settings))
+            with jax.enable_x64(case.dtype == "float64"):
+                rows.append(_row(case, programs, repeats))
+        if progress is not None:
+            progress(len(cases), len(cases), "")
+        return StudyResult(self, tuple(rows))
+
+
+def _row(case: Case, programs: dict[Hashable, Any], repeats: int) -> Row:
+    job = case.build()
+    program = programs.get(case.program)
+    if program is None:
+        program = compile_ahead(job.function, *job.arguments)
+        if case.program is not None:
+            programs[case.program] = program
+    cost = measure(
+        job.function, *job.arguments, repeats=repeats, gradient=job.gradient, program=program
+    )
+    error, note = job.judge(cost.value)
+    return Row(
+        settings=case.settings,
+        error=error,
+        bound=job.bound,
+        compile_s=cost.compile_s,
+        run_s=cost.run_s,
+        gradient_s=cost.gradient_s,
+        flops=cost.flops,
+        peak_bytes=cost.peak_bytes,
+        note=note,
+    )
+
+
+@dataclass(frozen=True)
+class StudyResult:
+    """The rows of a study that was run; ``str`` and `table` print them."""
+
+    study: Study
+    rows: tuple[Row, ...]
+
+    def where(self, **settings: Value) -> "StudyResult":
+        """Only the rows with these settings.
+
+        Raises
+        ------
+        InputError
+            If there is none; the message lists the values that there are.
+        """
+        for name, value in settings.items():
+            known = list(dict.fromkeys(row.settings.get(name) for row in self.rows))
+            if value not in known:
+                values = ", ".join(map(str, known)) if known != [None] else "no such setting"
+                raise InputError(
+                    f"study {self.study.name!r}: {name}={value!r} given; it has {values}"
+                )
+        rows = tuple(r for r in self.rows if all(r.settings[k] == v for k, v in settings.items()))
+        if not rows:
+            raise InputError(f"study {self.study.name!r}: no row has {_label(settings)}")
+        return StudyResult(self.study, rows)
+
+    def problems(self) -> list["StudyResult"]:
+        """The rows apart by their conditions, in order of appearance."""
+        key = self._conditions
+        found = dict.fromkeys(key(row) for row in self.rows)
+        return [StudyResult(self.study, tuple(r for r in self.rows if key(r) == k)) for k in found]
+
+    def front(self) -> tuple[Row, ...]:
+        """Rows that no other of the same problem beats in both error and run time.
+
+        Sorted by problem, then by run time.
+        """
+        found = []
+        for problem in self.problems():
+            best = np.inf
+            for row in sorted(problem.rows, key=lambda r: (r.run_s, r.error)):
+                if row.error < best:
+                    found.append(row)
+                    best = row.error
+        return tuple(found)
+
+    def cheapest(self, tolerance: float) -> Row:
+        """The cheapest settings whose measured error is at most `tolerance`.
+
+        With several problems (see `where`) the settings must meet it on all of them; costs
+        are added, and the row with the largest error is returned.
+
+        Raises
+        ------
+        InputError
+            If no settings meet it; the message gives the smallest error measured.
+        """
+        groups: dict[tuple, list[Row]] = {}
+        for row in self.rows:
+            rest = {k: v for k, v in row.settings.items() if k not in self.study.conditions}
+            groups.setdefault(tuple(rest.items()), []).append(row)
+        count = len(self.problems())
+        everywhere = [rows for rows in groups.values() if len(rows) == count] or [list(self.rows)]
+        meeting = [rows for rows in everywhere if max(r.error for r in rows) <= tolerance]
+        if not meeting:
+            smallest = min(max(r.error for r in rows) for rows in everywhere)
+            raise InputError(
+                f"study {self.study.name!r}: no settings have an error of at most {tolerance:g}; "
+                f"the smallest measured is {smallest:.2g}"
+                + (f" over its {count} problems, see where()" if count > 1 else "")
+            )
+        return max(min(meeting, key=lambda rs: sum(r.run_s for r in rs)), key=lambda r: r.error)
+
+    def table(self) -> Any:
+        """A `rich.table.Table` of all rows; those of the front carry a star."""
+        from rich.table import Table
+
+        front = set(map(id, self.front()))
+        names = _names(self.rows)
+        optional = [c for c in _OPTIONAL if any(c[1](row) for row in self.rows)]
+        table = Table(
+            title=f"{self.study.name}: {self.study.quantity}",
+            caption=f"Reference: {self.study.reference}. * on the front of error against run time.",
+        )
+        for name in [*names, "error", "run", "", *(title for title, _ in optional)]:
+            table.add_column(name, justify="left" if name in names else "right")
+        for row in self.rows:
+            table.add_row(
+                *(_text(row.settings.get(name, "")) for name in names),
+                f"{row.error:.1e}",
+                seconds(row.run_s),
+                "*" if id(row) in front else "",
+                *(show(row) for _, show in optional),
+            )
+        return table
+
+    def __str__(self) -> str:
+        return as_text(self.table())
+
+    def plot(self, path: str | os.PathLike | None = None) -> Any:
+        """Error against run time, both logarithmic, settings written on each point.
+
+        Parameters
+        ----------
+        path
+            File to write (PNG, PDF or SVG, by its ending); none if left out.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            With a line along the front of each problem.
+        """
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(9.0, 6.0), layout="constrained")
+        axes = figure.add_subplot()
+        varying = [n for n in _names(self.rows) if len({r.settings.get(n) for r in self.rows}) > 1]
+        on_points = [n for n in varying if n not in self.study.conditions] or varying
+        floor = min((r.error for r in self.rows if r.error > 0), default=1e-17)
+        for index, problem in enumerate(self.problems()):
+            colour = f"C{index % 10}"
+            conditions = {
+                n: problem.rows[0].settings[n] for n in self.study.conditions if n in varying
+            }
+            # An error of exactly 0 stands at the smallest of the others.
+            x = [row.run_s * 1e3 for row in problem.rows]
+            y = [max(row.error, floor) for row in problem.rows]
+            axes.plot(x, y, "o", ms=4, color=colour, label=_label(conditions) or None)
+            best = problem.front()
+            axes.plot(
+                [r.run_s * 1e3 for r in best], [max(r.error, floor) for r in best], color=colour
+            )
+            for row, place in zip(problem.rows, zip(x, y, strict=True), strict=True):
+                text = " ".join(_text(row.settings[n]) for n in on_points if n in row.settings)
+                axes.annotate(
+                    text, place, xytext=(3, 3), textcoords="offset points", fontsize=6, color=colour
+                )
+        axes.set(xscale="log", yscale="log", xlabel="run time, ms", ylabel="error")
+        axes.set_title(f"{self.study.name}: {self.study.quantity}", fontsize=9, wrap=True)
+        axes.text(
+            0.01, 0.01, "on points: " + ", ".join(on_points), transform=axes.transAxes, fontsize=7
+        )
+        if len(self.problems()) > 1:
+            axes.legend(fontsize=7)
+        if path is not None:
+            kind = Path(path).suffix.lstrip(".").lower()
+            if kind not in ("png", "pdf", "svg"):
+                raise InputError(f"{path}: expected a name ending in .png, .pdf or .svg")
+            with replacing(path) as file:
+                figure.savefig(file, format=kind, dpi=150)
+        return figure
+
+    def save_csv(self, path: str | os.PathLike) -> None:
+        """Write all rows: settings, then error, bound and costs, empty where unknown."""
+        names = _names(self.rows)
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow([*names, *_COSTS, "note"])
+        for row in self.rows:
+            costs = [getattr(row, name) for name in _COSTS]
+            values = ["" if v is None else v for v in costs]
+            writer.writerow([*(row.settings.get(n, "") for n in names), *values, row.note])
+        with replacing(path) as file:
+            file.write(text.getvalue().encode())
+
+    def _conditions(self, row: Row) -> tuple:
+        return tuple(row.settings.get(name) for name in self.study.conditions)
+
+
+_COSTS = ("error", "bound", "compile_s", "run_s", "gradient_s", "flops", "peak_bytes")
+
+
+def study(name: str) -> Study:
+    """The study of that name.
+
+    Raises
+    ------
+    InputError
+        If there is none; the message lists those in `NAMES`.
+    """
+    if name not in NAMES:
+        raise InputError(f"no study {name!r}; expected one of {', '.join(sorted(NAMES))}")
+    module, attribute = NAMES[name].split(":")
+    return getattr(import_module(module), attribute)
+
+
+def seconds(value: float | None) -> str:
+    """A time in s, ms or us with three digits; empty for None."""
+    if value is None:
+        return ""
+    for unit, size in (("s", 1.0), ("ms", 1e-3)):
+        if value >= size:
+            return f"{value / size:.3g} {unit}"
+    return f"{value * 1e6:.3g} us"
+
+
+def megabytes(value: float | None) -> str:
+    """A size in MB with two digits; empty for None."""
+    return "" if value is None else f"{value / 1e6:.2g} MB"
+
+
+def as_text(table: Any) -> str:
+    """A rich table as plain text, as wide as it needs."""
+    from rich.console import Console
+
+    console = Console(file=io.StringIO(), width=220, color_system=None)
+    console.print(table)
+    return console.file.getvalue()  # type: ignore[attr-defined]
+
+
+_OPTIONAL: Sequence[tuple[str, Callable[[Row], str]]] = (
+    ("bound", lambda row: "" if row.bound is None else f"{row.bound:.1e}"),
+    ("compile", lambda row: seconds(row.compile_s)),
+    ("gradient", lambda row: seconds(row.gradient_s)),
+    ("memory", lambda row: megabytes(row.peak_bytes)),
+    ("note", lambda row: row.note),
+)
+
+
+def _names(rows: Sequence[Row]) -> list[str]:
+    return list(dict.fromkeys(itertools.chain.from_iterable(row.settings for row in rows)))
+
+
+def _text(value: Value) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _label(settings: dict[str, Value]) -> str:
+    return ", ".join(f"{name} {_text(value)}" for name, value in settings.items())
