@@ -1,24 +1,28 @@
 """Differentiable optics in JAX: from a measured heightfield to its colours.
 
-==================  ==========================================================
-`heightfield`       a scan with its pixel: loading, conditioning, saving
-`conditioning`      levelling, filling, cropping, resampling, rotating
-`statistics`        roughness, slope, spectrum, dominant period
-`sampling`          is the pixel fine enough for a wavelength and an angle
-`io`                readers and writers of the file formats
-`samples`           embedded surfaces, made by code
-`discs`             run lengths and pits of a compact disc
-`gratings`          sinusoidal, blazed and binary gratings with closed forms
-`diffraction`       the diffraction BRDF of a heightfield, and its reference sum
-`statistical`       closed forms for surfaces known by their statistics
-`methods`           the ways to evaluate it
-`settings`          their settings
-`bounds`            their errors before they run
-`choice`            the cheapest method within a tolerance
-`lookup`            colours as a table over wave vectors, for drawing
-`fresnel`           reflectance of mirrors, glasses and metals
-`colour`            spectra to XYZ to sRGB
-==================  ==========================================================
+=====================  ==========================================================
+`heightfield`          a scan with its pixel: loading, conditioning, saving
+`conditioning`         levelling, filling, cropping, resampling, rotating
+`statistics`           roughness, slope, spectrum, dominant period
+`sampling`             is the pixel fine enough for a wavelength and an angle
+`io`                   readers and writers of the file formats
+`samples`              embedded surfaces, made by code
+`discs`                run lengths and pits of a compact disc
+`gratings`             sinusoidal, blazed and binary gratings with closed forms
+`diffraction`          the diffraction BRDF of a heightfield, and its reference sum
+`statistical`          closed forms for surfaces known by their statistics
+`methods`              the ways to evaluate it
+`settings`             their settings
+`bounds`               their errors before they run
+`choice`               the cheapest method within a tolerance
+`lookup`               colours as a table over wave vectors, for drawing
+`measurement`          cost of a compiled function
+`studies`              accuracy against time: the protocol, and `study`
+`diffraction_studies`  the studies of the diffraction methods
+`benchmarks`           cost of what runs often
+`fresnel`              reflectance of mirrors, glasses and metals
+`colour`               spectra to XYZ to sRGB
+=====================  ==========================================================
 """
 
 from diffopt import colour as colour
@@ -35,5 +39,6 @@ from diffopt.settings import SeparableSettings as SeparableSettings
 from diffopt.settings import TaylorSettings as TaylorSettings
 from diffopt.statistical import GaussianRoughness as GaussianRoughness
 from diffopt.statistical import RandomBumps as RandomBumps
+from diffopt.studies import study as study
 
 __version__ = "0.1.0"

@@ -50,9 +50,10 @@ def error_bound(
         truncation = e if surface.coverage == "positions" else 2.0 * e + e * e
         return truncation + rounding
     argument = 0.5 * total if settings.centred else total
-    e = phase.taylor_bound(argument, settings.terms)
+    # Half of `taylor_rounding` is that of the amplitude: where it nears one, its square counts.
+    e = phase.taylor_bound(argument, settings.terms) + 0.5 * phase.taylor_rounding(argument, eps)
     cut = gather_cut(surface, settings.reach, wavelengths)
-    return 2.0 * e + e * e + cut + rounding + phase.taylor_rounding(argument, eps)
+    return 2.0 * e + e * e + cut + rounding
 
 
 def refuse_rounding(

@@ -27,10 +27,11 @@ def concrete(value: Values | None) -> np.ndarray | None:
     return np.asarray(value)
 
 
-def choice(name: str, value: str, options: Sequence[str]) -> None:
-    """`value` must be one of `options`."""
+def choice(name: str, value: str, options: Sequence[str]) -> Any:
+    """`value`, which must be one of `options`."""
     if value not in options:
         raise InputError(f"{name} must be one of {', '.join(options)}; received {value!r}")
+    return value
 
 
 def directions(name: str, value: Values) -> None:

@@ -318,20 +318,21 @@ def _candidate(brdf, name, wave, lam, count, allowed, tolerance) -> Candidate:
         sweep = bounds.separable_sweep(surface, wave, lam)
         settings = SeparableSettings(nodes=phase.chebyshev_nodes(sweep, min(share, 1.0)))
     else:
+        # Centred heights halve the argument: fewer terms and far less rounding.
         total = bounds.phase_range(surface, wave, lam)
-        rounding = phase.taylor_rounding(total, float(jnp.finfo(dtype).eps))
-        if rounding > 0.5 * room:
+        rounding = phase.taylor_rounding(0.5 * total, float(jnp.finfo(dtype).eps))
+        if rounding > min(0.5 * room, bounds.LARGEST_ROUNDING):
             return _refused(
                 out,
-                f"{dtype} cannot carry Taylor terms over a phase range of "
-                f"{total:.1f} at this tolerance (rounding {rounding:.1e} of the "
-                "mirror's peak)" + _advice(dtype),
+                f"{dtype} cannot carry Taylor terms over a phase range of {total:.1f} at this "
+                f"tolerance (rounding {rounding:.1e} of the mirror's peak)" + _advice(dtype),
             )
         reach = 1
         longest = min(surface.heights.shape) // 2 - 1
         while bounds.gather_cut(surface, reach, lam) > 0.25 * room and reach < longest:
             reach += 1
-        settings = TaylorSettings(terms=phase.taylor_terms(total, room / 12.0), reach=reach)
+        terms = phase.taylor_terms(0.5 * total, room / 12.0)
+        settings = TaylorSettings(terms=terms, reach=reach, centred=True)
     try:
         refuse(brdf, settings)
     except InputError as error:

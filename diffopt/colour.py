@@ -234,7 +234,7 @@ def xyz_to_rgb_matrix(
 
 
 def xyz_to_linear(
-    xyz: Float[Array, "*batch 3"],
+    xyz: Float[Array | np.ndarray, "*batch 3"],
     *,
     illuminant: IlluminantLike = "D65",
     adaptation: str = "white",
@@ -249,12 +249,13 @@ def xyz_to_linear(
     illuminant, adaptation, wavelengths_um
         See `xyz_to_rgb_matrix`.
     """
+    xyz = jnp.asarray(xyz)
     matrix = xyz_to_rgb_matrix(illuminant, adaptation=adaptation, wavelengths_um=wavelengths_um)
     return spectrum.transform(xyz, jnp.asarray(matrix, xyz.dtype))
 
 
 def xyz_to_srgb(
-    xyz: Float[Array, "*batch 3"],
+    xyz: Float[Array | np.ndarray, "*batch 3"],
     *,
     illuminant: IlluminantLike = "D65",
     gamut: str = "desaturate",
@@ -287,6 +288,7 @@ def xyz_to_srgb(
     ValueError
         For an unknown choice.
     """
+    xyz = jnp.asarray(xyz)
     matrix = xyz_to_rgb_matrix(illuminant, adaptation=adaptation, wavelengths_um=wavelengths_um)
     linear = spectrum.transform(xyz, jnp.asarray(matrix, xyz.dtype))
     # Luminance on the display, which after adaptation is not the Y that came in.
@@ -454,7 +456,7 @@ class ColourSettings:
             return three_band(grid, self.illuminant, samples=self.samples)
         return grid, spectral_weights(grid, self.illuminant)
 
-    def picture(self, xyz: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
+    def picture(self, xyz: Float[Array | np.ndarray, "*batch 3"]) -> Float[Array, "*batch 3"]:
         """Encode XYZ values made with `quadrature` as sRGB, see `xyz_to_srgb`."""
         return xyz_to_srgb(
             xyz,

@@ -92,21 +92,19 @@ class DiffractionBRDF(eqx.Module):
         coherence: Values | None,
         *,
         fresnel: Reflectance | None = None,
-        average: Literal["positions", "window"] = "positions",
+        average: Literal["positions", "window"] | str = "positions",
         position: Values = (0.0, 0.0),
-        prefactor: prefactors.Prefactor = "stam",
-        shadowing: Shadowing = "none",
-        balance: Balance = "radiometric",
+        prefactor: prefactors.Prefactor | str = "stam",
+        shadowing: Shadowing | str = "none",
+        balance: Balance | str = "radiometric",
         blur: Values = 0.0,
         repeats: tuple[int, int] = (1, 1),
-        mirror: Mirror = "included",
+        mirror: Mirror | str = "included",
     ):
-        checks.choice("average", average, ("positions", "window"))
-        checks.choice("prefactor", prefactor, prefactors.NAMES)
-        checks.choice("shadowing", shadowing, get_args(Shadowing))
-        checks.choice("balance", balance, get_args(Balance))
+        window = checks.choice("average", average, ("positions", "window"))
+        model = checks.choice("prefactor", prefactor, prefactors.NAMES)
         checks.choice("mirror", mirror, get_args(Mirror))
-        coverage: methods.Coverage = average if coherence is not None else "patch"
+        coverage: methods.Coverage = window if coherence is not None else "patch"
         checks.coherence(coherence, scan.pixel, scan.extent)
         checks.window_options(coverage, blur, repeats, mirror)
         dtype = scan.heights.dtype
@@ -118,12 +116,12 @@ class DiffractionBRDF(eqx.Module):
             pixel=scan.pixel,
             coverage=coverage,
             repeats=repeats,
-            prefactor=prefactor,
+            prefactor=model,
             drop_mean=mirror == "apart",
         )
         self.fresnel = Constant() if fresnel is None else fresnel
-        self.shadowing = shadowing
-        self.balance = balance
+        self.shadowing = checks.choice("shadowing", shadowing, get_args(Shadowing))
+        self.balance = checks.choice("balance", balance, get_args(Balance))
 
     def __call__(self, wi: Values, wo: Values, wavelengths: Values) -> Float[Array, "*batch L"]:
         """Absolute BRDF by the direct sum, the reference for every other method.

@@ -25,12 +25,13 @@ from diffopt.studies import Case, Job, Study
 
 # The shortest visible wavelength has the largest phases.
 SHORTEST = 0.38
+WAVELENGTHS = np.array([SHORTEST])
 DIRECT = "the direct sum in float64"
 TO_PEAK = "largest error of |P|^2 relative to a mirror's peak"
 
 
 def make_surface(
-    heights: Any, pixel: float, sigma: Any, coverage: Coverage, dtype: str = "float32"
+    heights: Any, pixel: float, sigma: Any, coverage: Coverage, dtype: Any = "float32"
 ) -> Surface:
     """A surface for the methods themselves, past the checks of `DiffractionBRDF`.
 
@@ -117,6 +118,7 @@ def stack_job(
     settings: Settings,
     dtype: str,
     *,
+    wavelengths: np.ndarray = WAVELENGTHS,
     reference: np.ndarray | None = None,
     names: tuple[str, ...] = (),
     function: Callable | None = None,
@@ -127,7 +129,6 @@ def stack_job(
     The note gives the largest error of each surface if `names` are given, otherwise the
     mean error relative to the mean.
     """
-    wavelengths = np.array([SHORTEST])
     expected = (
         truth(stack, pixel, sigma, coverage, wave, wavelengths) if reference is None else reference
     )
@@ -155,12 +156,12 @@ def stack_job(
     )
 
 
-def hard_and_random(phase_range: float, samples_per_side: int) -> np.ndarray:
+def hard_and_random(phase_range: float, side: int) -> np.ndarray:
     """A binary grating, whose samples all err alike, and random heights: [2, n, n].
 
     `phase_range` is that of the mirror direction at `SHORTEST`.
     """
-    n = samples_per_side
+    n = side
     height = phase_range * SHORTEST / (2.0 * phase.TWO_PI)
     binary = np.broadcast_to(np.arange(n) // 8 % 2, (n, n))
     random = np.random.default_rng(1).uniform(size=(n, n))
@@ -172,12 +173,14 @@ def hard_and_random(phase_range: float, samples_per_side: int) -> np.ndarray:
 def _terms(quick: bool) -> list[Case]:
     pixel, sigma, n = 0.1, 1.6, 64  # 4 sigma_s a side: 6 bins leave less than 1e-20 out
     wave = wave_vectors(31)
+    # Rounding of the terms hangs on the very argument: a few wavelengths find a bad one.
+    wavelengths = np.linspace(SHORTEST, 1.05 * SHORTEST, 8)
     ranges = (1.0, 10.0) if quick else (1.0, 1.5 * math.pi, 10.0, 30.0)
-    counts = (12, 28) if quick else (8, 12, 16, 20, 28, 40, 60, 90)
+    counts = (12, 28) if quick else (8, 12, 20, 28, 40, 60, 90)
 
     @functools.cache
     def expected(x):
-        return truth(hard_and_random(x, n), pixel, sigma, "window", wave, np.array([SHORTEST]))
+        return truth(hard_and_random(x, n), pixel, sigma, "window", wave, wavelengths)
 
     def case(x, dtype, centred, terms):
         settings = TaylorSettings(terms=terms, reach=6, centred=centred)
@@ -192,6 +195,7 @@ def _terms(quick: bool) -> list[Case]:
                 wave,
                 settings,
                 dtype,
+                wavelengths=wavelengths,
                 reference=expected(x),
                 names=("binary", "random"),
             ),
@@ -204,6 +208,8 @@ def _terms(quick: bool) -> list[Case]:
         for dtype in (("float32",) if quick else ("float32", "float64"))
         for centred in (False, True)
         for terms in counts
+        # Below this the terms have not begun to fall: there is no picture at all.
+        if phase.taylor_bound(0.5 * x if centred else x, terms) < 1.0
     ]
 
 
@@ -266,7 +272,7 @@ def _patch(quick: bool) -> list[Case]:
 
     @functools.cache
     def expected():
-        return truth(whole, pixel, sigma, "window", wave, np.array([SHORTEST]))
+        return truth(whole, pixel, sigma, "window", wave, WAVELENGTHS)
 
     def case(ratio):
         def build():
@@ -369,7 +375,7 @@ STEP = Study(
     name="diffraction.step",
     quantity="wavelength step for a sinusoidal grating (period 2 um, amplitude 0.1 um) seen in "
     "its plane, largest error of XYZ over the largest XYZ",
-    reference="the same in float64 at 1 nm",
+    reference="the same in float64 at 1 nm, the step of the tables",
     cases=_step,
     conditions=("sigma_um",),
 )
@@ -384,7 +390,7 @@ def _nodes(quick: bool) -> list[Case]:
 
     @functools.cache
     def expected(average):
-        return truth(stack, pixel, sigma, average, wave, np.array([SHORTEST]))
+        return truth(stack, pixel, sigma, average, wave, WAVELENGTHS)
 
     def case(average, dtype, nodes):
         return Case(
@@ -399,15 +405,18 @@ def _nodes(quick: bool) -> list[Case]:
                 SeparableSettings(nodes=nodes),
                 dtype,
                 reference=expected(average),
-                gradient=None if quick else 0,
+                gradient=0 if nodes == 8 else None,
             ),
         )
 
     return [
         case(average, dtype, nodes)
         for average in (("positions",) if quick else ("positions", "window"))
-        for dtype in ("float32", "float64")
-        for nodes in ((2, 6) if quick else (1, 2, 3, 4, 5, 6, 8, 10, 12))
+        for dtype, counts in (
+            ("float32", (2, 6) if quick else (1, 2, 3, 4, 5, 6, 8, 12)),
+            ("float64", (6,) if quick else (8, 12, 16)),
+        )
+        for nodes in counts
     ]
 
 

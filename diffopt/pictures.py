@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from diffopt import colour, views
 from diffopt.heightfield import Heightfield
+from diffopt.kernels import spectrum
 from diffopt.statistics import SurfaceStatistics
 
 if TYPE_CHECKING:
@@ -34,47 +35,62 @@ _DPI = 150
 _STEP_NM = 10.0
 
 
+def display(
+    xyz: Float[np.ndarray, "*batch 3"], illuminant: colour.IlluminantLike = "D65"
+) -> Float[np.ndarray, "*batch 3"]:
+    """Linear sRGB without negative values: colours out of gamut are mixed with grey.
+
+    Luminance is kept; values above 1 remain.
+    """
+    wavelengths = colour.wavelengths(_STEP_NM)
+    matrix = colour.xyz_to_rgb_matrix(illuminant, wavelengths_um=wavelengths)
+    linear = np.asarray(xyz, np.float64) @ matrix.T
+    white = colour.white_point("D65", wavelengths)
+    luminance = linear @ np.linalg.inv(colour.rgb_matrix(white))[1]
+    fitted = spectrum.fit_gamut(
+        jnp.asarray(linear, jnp.float32), jnp.asarray(luminance, jnp.float32), "desaturate"
+    )
+    return np.maximum(np.asarray(fitted, np.float64), 0.0)
+
+
 def exposure(
-    luminance: Float[np.ndarray, " n"], percentile: float = 97.0, least: float = 1e-3
+    rgb: Float[np.ndarray, "*batch 3"], percentile: float = 97.0, least: float = 1e-3
 ) -> float:
-    """Factor that brings a percentile of the luminance to 1.
+    """Factor that brings a percentile of the brightest channel to 1.
 
     Parameters
     ----------
-    luminance
-        Y of everything that counts, [n].
+    rgb
+        Linear values of everything that counts.
     percentile
         Share of it, in percent, that stays below 1.
     least
-        Smallest luminance brought to 1, as a share of the largest: a lone mirror spot shall
-        not lift the rounding around it.
+        Smallest value brought to 1, as a share of the largest: a lone mirror spot shall not
+        lift the rounding around it.
     """
-    if luminance.size == 0 or not luminance.max() > 0.0:
+    if rgb.size == 0 or not rgb.max() > 0.0:
         return 1.0
-    return 1.0 / max(float(np.percentile(luminance, percentile)), least * float(luminance.max()))
+    return 1.0 / max(float(np.percentile(rgb.max(-1), percentile)), least * float(rgb.max()))
 
 
 def tone(
-    xyz: Float[np.ndarray, "*batch 3"], factor: float, white: float = 6.0
+    rgb: Float[np.ndarray, "*batch 3"], factor: float, white: float = 6.0
 ) -> Float[np.ndarray, "*batch 3"]:
-    """Exposed colours with compressed luminance: Y (1 + Y / white^2) / (1 + Y).
+    """Exposed linear RGB with the brightest channel p compressed: p (1 + p / white^2) / (1 + p).
 
-    Chromaticity is kept. The curve is equation 4 of Reinhard et al., Photographic tone
-    reproduction for digital images, 2002: `white` is the least luminance that becomes 1.
+    All channels share one factor, so that hues stay: compressing luminance instead would cut
+    off the channels of saturated colours. The curve is equation 4 of Reinhard et al.,
+    Photographic tone reproduction for digital images, 2002; `white` is the least p that
+    becomes 1, and brighter ones are scaled to it.
     """
-    y = factor * xyz[..., 1:2]
-    return factor * xyz * (1.0 + y / white**2) / (1.0 + y)
+    brightest = np.maximum(rgb.max(-1, keepdims=True), np.finfo(np.float64).tiny)
+    peak = np.minimum(factor * brightest, white)
+    return rgb / brightest * (peak * (1.0 + peak / white**2) / (1.0 + peak))
 
 
-def encode(
-    xyz: Float[np.ndarray, "*batch 3"], illuminant: colour.IlluminantLike = "D65"
-) -> Float[np.ndarray, "*batch 3"]:
-    """SRGB values of exposed XYZ; out-of-gamut colours are mixed with grey."""
-    value = colour.xyz_to_srgb(
-        jnp.asarray(xyz, jnp.float32),
-        illuminant=illuminant,
-        wavelengths_um=colour.wavelengths(_STEP_NM),
-    )
+def encode(rgb: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
+    """SRGB code values in [0, 1] of linear ones."""
+    value = spectrum.encode_srgb(jnp.asarray(np.clip(rgb, 0.0, 1.0), jnp.float32))
     return np.clip(np.asarray(value, np.float64), 0.0, 1.0)
 
 
@@ -82,7 +98,7 @@ def photograph(
     image: views.Image,
     *,
     supersampling: int = 1,
-    percentile: float = 97.0,
+    percentile: float = 96.0,
     illuminant: colour.IlluminantLike = "D65",
 ) -> Float[np.ndarray, "h w 3"]:
     """Exposed sRGB picture of a lit object before a dark ground.
@@ -99,14 +115,13 @@ def photograph(
         The light of the image.
     """
     lit = image.covered & (image.xyz[..., 1] > 0.0)
-    factor = exposure(image.xyz[lit][:, 1], percentile)
+    factor = exposure(display(image.xyz[lit], illuminant), percentile)
     white = colour.white_point(illuminant, colour.wavelengths(_STEP_NM))
-    xyz = tone(image.xyz * factor + (SURROUNDINGS * white) * image.albedo, 1.0)
-    xyz = np.where((image.covered | image.neutral)[..., None], xyz, BACKGROUND * white)
+    ambient = SURROUNDINGS / factor * white * image.albedo
+    rgb = tone(display(image.xyz + ambient, illuminant), factor)
+    rgb = np.where((image.covered | image.neutral)[..., None], rgb, BACKGROUND)
     h, w = (n // supersampling for n in image.covered.shape)
-    return encode(
-        xyz.reshape(h, supersampling, w, supersampling, 3).mean(axis=(1, 3)), illuminant
-    )
+    return encode(rgb.reshape(h, supersampling, w, supersampling, 3).mean(axis=(1, 3)))
 
 
 def scan(heightfield: Heightfield, statistics: SurfaceStatistics) -> "Figure":
@@ -127,7 +142,7 @@ def scan(heightfield: Heightfield, statistics: SurfaceStatistics) -> "Figure":
     )
     figure.colorbar(picture, ax=axes, label="height / nm", shrink=0.8)
     row = ny // 2
-    axes.axhline((row + 0.5) * heightfield.pixel[0], color="white", lw=0.8, ls=":")
+    axes.axhline((row + 0.5) * heightfield.pixel[0], color="C3", lw=1.0, ls=":")
     _scale_bar(axes, ex, ey)
     axes.set(xlabel="x / µm", ylabel="y / µm (down the scan)", title="Heights")
     profile = figure.add_subplot(grid[0, 1])
@@ -189,8 +204,8 @@ def hemisphere(
     figure = _figure(7.4, 7.2)
     axes = figure.add_subplot()
     axes.set_aspect("equal")
-    bright = data.xyz[data.xyz[..., 1] > 0.0][:, 1]
-    rgb = encode(tone(data.xyz, exposure(bright, 90.0, least=1e-4)), illuminant)
+    linear = display(np.maximum(data.xyz, 0.0), illuminant)
+    rgb = encode(tone(linear, exposure(linear[linear.max(-1) > 0.0], 90.0, least=1e-4)))
     disc = Circle((0.0, 0.0), 1.0, fc="black", ec="0.4", lw=1.0, zorder=0)
     axes.add_patch(disc)
     rim = Circle((0.0, 0.0), math.sin(views.GRAZING), transform=axes.transData)
@@ -201,17 +216,25 @@ def hemisphere(
         radius = math.sin(math.radians(angle))
         axes.add_patch(Circle((0, 0), radius, fc="none", ec="white", lw=0.5, alpha=0.35, zorder=2))
         x, y = radius * math.cos(0.7), radius * math.sin(0.7)
-        axes.text(
-            x, y, f"{angle}°", color="white", fontsize=7, alpha=0.7, ha="center", va="center"
-        )
+        axes.text(x, y, f"{angle}°", color="white", fontsize=7, alpha=0.7, ha="center", va="center")
     white = {"color": "white", "fontsize": 8, "zorder": 5}
     axes.plot(data.wi[0], data.wi[1], "*", ms=9, mfc="none", mec="white", mew=0.9, zorder=4)
     axes.annotate(
-        "light", data.wi[:2], xytext=(0, 9), textcoords="offset points", ha="center", **white
+        "light",
+        (data.wi[0], data.wi[1]),
+        xytext=(0, 9),
+        textcoords="offset points",
+        ha="center",
+        **white,
     )
     axes.plot(-data.wi[0], -data.wi[1], "+", ms=11, color="black", mew=1.0, zorder=4)
     axes.annotate(
-        "mirror", -data.wi[:2], xytext=(0, 12), textcoords="offset points", ha="center", **white
+        "mirror",
+        (-data.wi[0], -data.wi[1]),
+        xytext=(0, 26),
+        textcoords="offset points",
+        ha="center",
+        **white,
     )
     if grating is not None:
         _mark_orders(axes, data.wi, *grating)
@@ -263,11 +286,11 @@ def in_plane(
         _draw_orders(upper, math.sin(angle_in), period, data.wavelengths)
     upper.set(ylabel="wavelength / nm", ylim=(nm[0], nm[-1]))
     upper.set_title(
-        f"Plane of incidence, light at {math.degrees(angle_in):.3g}°, "
-        f"mirror direction {-math.degrees(angle_in):.3g}°"
+        f"Plane of incidence, light at {math.degrees(angle_in):.3g}°, ".replace("-", "−")
+        + f"mirror direction at {-math.degrees(angle_in):.3g}°".replace("-", "−")
     )
-    bright = np.maximum(data.xyz[:, 1], 0.0)
-    rgb = encode(tone(np.maximum(data.xyz, 0.0), exposure(bright, 90.0, least=1e-4)), illuminant)
+    linear = display(np.maximum(data.xyz, 0.0), illuminant)
+    rgb = encode(tone(linear, exposure(linear, 90.0, least=1e-4)))
     lower.imshow(rgb[None], extent=(degrees[0], degrees[-1], 0.0, 1.0), aspect="auto")
     lower.set(xlabel="viewing angle / degrees (positive towards the light)", yticks=[])
     lower.set_ylabel("colour")
@@ -323,7 +346,7 @@ def _mark_orders(axes: "Axes", wi: np.ndarray, period: float, direction: float) 
             if wavelength == MARKED[1]:
                 axes.annotate(
                     f"{order:+d}".replace("-", "−"),
-                    at[:2],
+                    (at[0], at[1]),
                     xytext=(0, -14),
                     textcoords="offset points",
                     ha="center",
@@ -370,7 +393,15 @@ def _spectral(wavelength: float) -> tuple[float, float, float]:
     """SRGB of a spectral line, for a mark."""
     lam = colour.wavelengths(_STEP_NM)
     weights = colour.spectral_weights(lam)[int(np.argmin(np.abs(lam - wavelength)))]
-    r, g, b = encode(weights / weights[1] * 0.35)
+    return swatch(weights)
+
+
+def swatch(
+    xyz: Float[np.ndarray, "3"], illuminant: colour.IlluminantLike = "D65"
+) -> tuple[float, float, float]:
+    """SRGB of a colour as bright as the display can show it."""
+    linear = display(xyz[None], illuminant)[0]
+    r, g, b = encode(linear / linear.max())
     return float(r), float(g), float(b)
 
 

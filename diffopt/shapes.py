@@ -5,6 +5,7 @@ only directions leave this module. The material's x axis is the tangent, z the n
 """
 
 import dataclasses
+import math
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -53,6 +54,16 @@ class View:
         """Unit vectors from the surface to a point, [h, w, 3]."""
         return unit(np.asarray(point, np.float64) - self.position)
 
+    def turned(self, angle: float) -> "View":
+        """The same with the material turned about the normal.
+
+        The material's direction at `angle` from its x axis (radians, towards y) then lies where
+        the x axis was.
+        """
+        across = np.cross(self.normal, self.tangent)
+        tangent = math.cos(angle) * self.tangent - math.sin(angle) * across
+        return dataclasses.replace(self, tangent=tangent)
+
 
 def unit(vectors: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
     """Vectors divided by their lengths."""
@@ -89,7 +100,7 @@ def sheet(
     *,
     bend_deg: float = 100.0,
     width: float = 1.0,
-    eye: tuple[float, float, float] = (0.0, 2.2, 3.4),
+    eye: tuple[float, float, float] = (1.2, 1.9, 3.5),
 ) -> View:
     """Sheet of unit radius bent about the horizontal x axis, seen by a near camera.
 
@@ -111,8 +122,8 @@ def sheet(
         raise InputError(f"bend_deg={bend_deg:g}: expected degrees above 0, at most 180")
     # The middle of the arc looks half way up, so that the camera and a light above share it.
     middle = np.radians(60.0)
-    target = np.array([0.0, np.sin(middle), np.cos(middle)]) * 0.93
-    origin, rays = _camera(size, np.array(eye), target, half_width=1.12 * width)
+    target = np.array([0.0, np.sin(middle) - 0.28, np.cos(middle) - 0.16])
+    origin, rays = _camera(size, np.array(eye), target, half_width=1.28 * width)
     # Nearest crossing of origin + t ray with y^2 + z^2 = 1.
     a = (rays[..., 1:] ** 2).sum(-1)
     b = (rays[..., 1:] * origin[1:]).sum(-1)
@@ -168,9 +179,7 @@ def disc(
     return View(position, tangent, normal, -rays, covered, inside & ~covered)
 
 
-def _screen(
-    size: int, half: float
-) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+def _screen(size: int, half: float) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
     """Coordinates x (to the right) and y (up) of the samples' centres."""
     if size < 2:
         raise InputError(f"size={size}: expected at least 2 samples on a side")

@@ -5,6 +5,7 @@ The mirror part is a delta and stays apart: calls return the incoherent lobe in 
 """
 
 import abc
+from typing import get_args
 
 import equinox as eqx
 import jax
@@ -126,12 +127,12 @@ class GaussianRoughness(StatisticalBRDF):
         correlation_length: Values,
         *,
         fresnel: Reflectance | None = None,
-        shadowing: Shadowing = "none",
+        shadowing: Shadowing | str = "none",
     ):
         self.rms = _length("rms", rms, above_zero=False)
         self.correlation_length = _length("correlation_length", correlation_length)
         self.fresnel = Constant() if fresnel is None else fresnel
-        self.shadowing = shadowing
+        self.shadowing = checks.choice("shadowing", shadowing, get_args(Shadowing))
 
     def check(self, wavelengths: np.ndarray) -> None:
         """Hold everywhere: the sum is exact for every roughness."""
@@ -158,8 +159,8 @@ class RandomBumps(StatisticalBRDF):
     ----------
     height
         Bump height H, micrometres; either sign.
-    sx, sy
-        Standard deviations of a bump, micrometres, > 0.
+    sigma
+        Standard deviations (sy, sx) of a bump, or one for both, micrometres, > 0.
     density
         Bumps per square micrometre, > 0; the closed form is first order in the share of
         the surface that they cover.
@@ -177,18 +178,20 @@ class RandomBumps(StatisticalBRDF):
     def __init__(
         self,
         height: Values,
-        sx: Values,
-        sy: Values,
+        sigma: Values,
         density: Values,
         *,
         fresnel: Reflectance | None = None,
-        shadowing: Shadowing = "none",
+        shadowing: Shadowing | str = "none",
     ):
         self.height = jnp.asarray(height, jnp.result_type(float))
-        self.sx, self.sy = _length("sx", sx), _length("sy", sy)
+        if len(np.shape(sigma)) > 1 or np.size(sigma) > 2:
+            raise InputError(f"sigma must be one length or (sy, sx); received {sigma}")
+        sy, sx = jnp.broadcast_to(jnp.asarray(sigma, jnp.result_type(float)), (2,))
+        self.sx, self.sy = _length("sigma", sx), _length("sigma", sy)
         self.bumps = _length("density", density)
         self.fresnel = Constant() if fresnel is None else fresnel
-        self.shadowing = shadowing
+        self.shadowing = checks.choice("shadowing", shadowing, get_args(Shadowing))
 
     def check(self, wavelengths: np.ndarray) -> None:
         """Refuse bumps whose Taylor series the dtype cannot carry."""

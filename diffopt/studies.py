@@ -52,7 +52,8 @@ class Row:
     error
         Measured, in the terms of the study's quantity.
     bound
-        Known before the run; None where there is none.
+        Known before the run, an estimate where the study's quantity says so; None where
+        there is none.
     compile_s, run_s, gradient_s, flops, peak_bytes
         See `diffopt.measurement.Measurement`. Cases that differ in the values of their
         arguments only share one compilation.

@@ -214,9 +214,7 @@ def in_plane(
     wo = np.stack([incident(a, azimuth) for a in angles])
     wavelengths = colour.wavelengths(step_nm)
     weights = np.asarray(colour.spectral_weights(wavelengths, illuminant=illuminant))
-    fast = brdf.prepare(
-        pairs=(wi, wo), wavelengths=wavelengths, tolerance=tolerance, method=method
-    )
+    fast = brdf.prepare(pairs=(wi, wo), wavelengths=wavelengths, tolerance=tolerance, method=method)
     spectra = np.asarray(fast(wi, wo), np.float64)
     value = spectra * wi[2]
     if brdf.balance == "peak":
@@ -260,7 +258,7 @@ def radiance(
     wi: Float[np.ndarray, "n 3"],
     wo: Float[np.ndarray, "n 3"],
 ) -> Float[np.ndarray, "n 3"]:
-    """f cos_i as XYZ for many pairs in the local frame, 0 beyond `GRAZING` for the viewer."""
+    """F cos_i as XYZ for many pairs in the local frame, 0 beyond `GRAZING` for the viewer."""
     dtype = brdf.surface.heights.dtype
     out = np.zeros((len(wi), 3))
     size = min(_BLOCK, max(len(wi), 1))

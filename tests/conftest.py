@@ -18,7 +18,21 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 DTYPES = ("float32", "float64") if X64 else ("float32",)
 
 
+def pytest_addoption(parser):
+    parser.addoption(
+        "--scan",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="a measured scan on which the methods must agree too (sigma_s: --scan-coherence)",
+    )
+    parser.addoption("--scan-coherence", type=float, default=1.25, metavar="UM")
+
+
 def pytest_generate_tests(metafunc):
+    if "surface_name" in metafunc.fixturenames:
+        samples = ["compact_disc", "snake_skin"]
+        metafunc.parametrize("surface_name", samples + metafunc.config.getoption("scan"))
     if "dtype" in metafunc.fixturenames:
         metafunc.parametrize("dtype", DTYPES)
 

@@ -1,0 +1,20 @@
+"""The command line: ``diffopt COMMAND``.
+
+================  ==========================================================
+`application`     the table of commands, `main`, exit codes
+`options`         from the words of options to scans, models and jobs
+`diffraction`     ``diffopt diffraction``: pictures and numbers of one scan
+`results`         its ``result.npz`` and ``result.json``
+`demo`            ``diffopt demo``: all pictures of an embedded disc, as a page
+`studying`        ``diffopt accuracy`` and ``diffopt bench``
+`inspection`      ``diffopt samples`` and ``diffopt info``
+`limits`          refusal of files that claim to be enormous
+`output`          folders that are complete or absent
+`progress`        progress bar and times, compilation apart
+`errors`          one line and exit code 2 for faults of the input
+================  ==========================================================
+
+Modules of commands import what is slow inside their functions.
+"""
+
+from diffopt.cli.application import main as main

@@ -1,0 +1,112 @@
+"""``diffopt accuracy`` and ``diffopt bench``: what a faster answer costs."""
+
+import csv
+import io
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+COLUMNS = (
+    "name",
+    "shape",
+    "dtype",
+    "compile_s",
+    "run_s",
+    "run_spread",
+    "gradient_s",
+    "flops",
+    "peak_bytes",
+    "note",
+)
+
+
+def accuracy(
+    name: Annotated[str | None, typer.Argument(help="A study; all of them if left out.")] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer and smaller cases.")] = False,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Folder for plots (PNG) and tables (CSV).")
+    ] = None,
+    tolerance: Annotated[
+        float | None, typer.Option(help="Print the cheapest settings within this error as well.")
+    ] = None,
+) -> None:
+    """Error against time of every approximation: table, plot, CSV."""
+
+    from diffopt import checks, studies
+    from diffopt.cli.output import folder
+    from diffopt.cli.progress import stages, terminal
+    from diffopt.errors import InputError
+
+    if tolerance is not None:
+        checks.tolerance(tolerance)
+    names = sorted(studies.NAMES) if name is None else [name]
+    chosen = [studies.study(each) for each in names]
+    console = terminal()
+    results = []
+    with stages(len(chosen)) as progress:
+        for study in chosen:
+            with progress.stage(study.name) as report:
+                results.append(
+                    study.run(quick=quick, progress=lambda done, of, _, to=report: to(done, of))
+                )
+    if output is not None:
+        with folder(output) as staging:
+            for result in results:
+                result.plot(staging / f"{result.study.name}.png")
+                result.save_csv(staging / f"{result.study.name}.csv")
+    for result in results:
+        console.print(result.table())
+        if tolerance is not None:
+            try:
+                row = result.cheapest(tolerance)
+            except InputError as error:
+                console.print(str(error))
+            else:
+                words = ", ".join(f"{key}={value}" for key, value in row.settings.items())
+                console.print(f"cheapest within {tolerance:g}: {words}")
+    if output is not None:
+        console.print(f"plots and tables: {output}")
+
+
+def bench(
+    names: Annotated[list[str] | None, typer.Argument(help="Benchmarks; all if left out.")] = None,
+    size: Annotated[str, typer.Option(help="small or full.")] = "small",
+    repeats: Annotated[int, typer.Option(help="Timed runs of each.")] = 7,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="CSV file.")] = None,
+) -> None:
+    """Compilation, run, gradient, operations and memory of the compiled functions."""
+    from rich.table import Table
+
+    from diffopt import benchmarks, checks
+    from diffopt.cli.errors import user_input
+    from diffopt.cli.progress import terminal
+    from diffopt.errors import InputError
+    from diffopt.io.files import replacing
+
+    checks.choice("--size", size, ("small", "full"))
+    if repeats < 1:
+        raise InputError(f"--repeats must be at least 1; received {repeats}")
+    for name in names or []:
+        checks.choice("benchmark", name, tuple(benchmarks.NAMES))
+    results = benchmarks.run(names or None, size=size, repeats=repeats)
+    table = Table()
+    for title in COLUMNS:
+        table.add_column(title, justify="left" if title in ("name", "note") else "right")
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for result in results:
+        values = [getattr(result, column) for column in COLUMNS]
+        writer.writerow(["" if value is None else value for value in values])
+        table.add_row(*(_cell(value) for value in values))
+    if output is not None:
+        with user_input(), replacing(output) as file:
+            file.write(text.getvalue().encode())
+    terminal().print(table)
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return ""
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
