@@ -316,7 +316,7 @@ def _step(quick: bool) -> list[Case]:
     period, pixel, n = 2.0, 0.0625, 512
     line = 0.1 * np.cos(2.0 * np.pi * (np.arange(n) - n // 2) * pixel / period)
     heights = np.broadcast_to(line, (2, n)).astype(np.float32)
-    u = np.linspace(-0.95, 0.95, 96 if quick else 191)
+    u = np.linspace(-0.95, 0.95, 48 if quick else 191)
     wo = np.stack([u, 0.0 * u, np.sqrt(1.0 - u**2)], -1)
     wi = np.array([0.0, 0.0, 1.0])
 

@@ -1,7 +1,7 @@
 """Figures of a scan and of what it reflects, drawn with matplotlib, without a display.
 
 Every function returns a `matplotlib.figure.Figure` or an sRGB array; `save` writes either.
-What is drawn comes from `diffopt.views`; nothing is computed here but exposure.
+What is drawn comes from `diffopt.views`; nothing is computed here; exposure is in `diffopt.tones`.
 """
 
 import math
@@ -10,13 +10,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from diffopt import colour, views
+from diffopt import colour, tones, views
 from diffopt.heightfield import Heightfield
-from diffopt.kernels import spectrum
 from diffopt.statistics import SurfaceStatistics
 
 if TYPE_CHECKING:
@@ -31,67 +29,6 @@ BACKGROUND = 0.012
 SURROUNDINGS = 0.05
 
 _DPI = 150
-# The tables behind the pictures sum the spectrum in this step.
-_STEP_NM = 10.0
-
-
-def display(
-    xyz: Float[np.ndarray, "*batch 3"], illuminant: colour.IlluminantLike = "D65"
-) -> Float[np.ndarray, "*batch 3"]:
-    """Linear sRGB without negative values: colours out of gamut are mixed with grey.
-
-    Luminance is kept; values above 1 remain.
-    """
-    wavelengths = colour.wavelengths(_STEP_NM)
-    matrix = colour.xyz_to_rgb_matrix(illuminant, wavelengths_um=wavelengths)
-    linear = np.asarray(xyz, np.float64) @ matrix.T
-    white = colour.white_point("D65", wavelengths)
-    luminance = linear @ np.linalg.inv(colour.rgb_matrix(white))[1]
-    fitted = spectrum.fit_gamut(
-        jnp.asarray(linear, jnp.float32), jnp.asarray(luminance, jnp.float32), "desaturate"
-    )
-    return np.maximum(np.asarray(fitted, np.float64), 0.0)
-
-
-def exposure(
-    rgb: Float[np.ndarray, "*batch 3"], percentile: float = 97.0, least: float = 1e-3
-) -> float:
-    """Factor that brings a percentile of the brightest channel to 1.
-
-    Parameters
-    ----------
-    rgb
-        Linear values of everything that counts.
-    percentile
-        Share of it, in percent, that stays below 1.
-    least
-        Smallest value brought to 1, as a share of the largest: a lone mirror spot shall not
-        lift the rounding around it.
-    """
-    if rgb.size == 0 or not rgb.max() > 0.0:
-        return 1.0
-    return 1.0 / max(float(np.percentile(rgb.max(-1), percentile)), least * float(rgb.max()))
-
-
-def tone(
-    rgb: Float[np.ndarray, "*batch 3"], factor: float, white: float = 6.0
-) -> Float[np.ndarray, "*batch 3"]:
-    """Exposed linear RGB with the brightest channel p compressed: p (1 + p / white^2) / (1 + p).
-
-    All channels share one factor, so that hues stay: compressing luminance instead would cut
-    off the channels of saturated colours. The curve is equation 4 of Reinhard et al.,
-    Photographic tone reproduction for digital images, 2002; `white` is the least p that
-    becomes 1, and brighter ones are scaled to it.
-    """
-    brightest = np.maximum(rgb.max(-1, keepdims=True), np.finfo(np.float64).tiny)
-    peak = np.minimum(factor * brightest, white)
-    return rgb / brightest * (peak * (1.0 + peak / white**2) / (1.0 + peak))
-
-
-def encode(rgb: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
-    """SRGB code values in [0, 1] of linear ones."""
-    value = spectrum.encode_srgb(jnp.asarray(np.clip(rgb, 0.0, 1.0), jnp.float32))
-    return np.clip(np.asarray(value, np.float64), 0.0, 1.0)
 
 
 def photograph(
@@ -110,18 +47,18 @@ def photograph(
     supersampling
         Samples averaged on each axis, after the tone curve, so that edges are smooth.
     percentile
-        See `exposure`; of the material's samples that are lit.
+        See `diffopt.tones.exposure`; of the material's samples that are lit.
     illuminant
         The light of the image.
     """
     lit = image.covered & (image.xyz[..., 1] > 0.0)
-    factor = exposure(display(image.xyz[lit], illuminant), percentile)
-    white = colour.white_point(illuminant, colour.wavelengths(_STEP_NM))
+    factor = tones.exposure(tones.display(image.xyz[lit], illuminant), percentile)
+    white = colour.white_point(illuminant, colour.wavelengths(tones.STEP_NM))
     ambient = SURROUNDINGS / factor * white * image.albedo
-    rgb = tone(display(image.xyz + ambient, illuminant), factor)
+    rgb = tones.tone(tones.display(image.xyz + ambient, illuminant), factor)
     rgb = np.where((image.covered | image.neutral)[..., None], rgb, BACKGROUND)
     h, w = (n // supersampling for n in image.covered.shape)
-    return encode(rgb.reshape(h, supersampling, w, supersampling, 3).mean(axis=(1, 3)))
+    return tones.encode(rgb.reshape(h, supersampling, w, supersampling, 3).mean(axis=(1, 3)))
 
 
 def scan(heightfield: Heightfield, statistics: SurfaceStatistics) -> "Figure":
@@ -204,11 +141,15 @@ def hemisphere(
     figure = _figure(7.4, 7.2)
     axes = figure.add_subplot()
     axes.set_aspect("equal")
-    linear = display(np.maximum(data.xyz, 0.0), illuminant)
-    rgb = encode(tone(linear, exposure(linear[linear.max(-1) > 0.0], 90.0, least=1e-4)))
+    linear = tones.display(np.maximum(data.xyz, 0.0), illuminant)
+    rgb = tones.encode(
+        tones.tone(linear, tones.exposure(linear[linear.max(-1) > 0.0], 90.0, least=1e-4))
+    )
     disc = Circle((0.0, 0.0), 1.0, fc="black", ec="0.4", lw=1.0, zorder=0)
     axes.add_patch(disc)
-    rim = Circle((0.0, 0.0), math.sin(views.GRAZING), transform=axes.transData)
+    # Short of the last pixels, which may be empty.
+    radius = math.sin(views.GRAZING) - 3.0 / len(data.line)
+    rim = Circle((0.0, 0.0), radius, transform=axes.transData)
     axes.imshow(
         rgb, extent=(-1.0, 1.0, 1.0, -1.0), interpolation="bilinear", clip_path=rim, zorder=1
     )
@@ -289,8 +230,8 @@ def in_plane(
         f"Plane of incidence, light at {math.degrees(angle_in):.3g}°, ".replace("-", "−")
         + f"mirror direction at {-math.degrees(angle_in):.3g}°".replace("-", "−")
     )
-    linear = display(np.maximum(data.xyz, 0.0), illuminant)
-    rgb = encode(tone(linear, exposure(linear, 90.0, least=1e-4)))
+    linear = tones.display(np.maximum(data.xyz, 0.0), illuminant)
+    rgb = tones.encode(tones.tone(linear, tones.exposure(linear, 90.0, least=1e-4)))
     lower.imshow(rgb[None], extent=(degrees[0], degrees[-1], 0.0, 1.0), aspect="auto")
     lower.set(xlabel="viewing angle / degrees (positive towards the light)", yticks=[])
     lower.set_ylabel("colour")
@@ -391,18 +332,9 @@ def _orders(period: float, wavelength: float) -> Sequence[int]:
 
 def _spectral(wavelength: float) -> tuple[float, float, float]:
     """SRGB of a spectral line, for a mark."""
-    lam = colour.wavelengths(_STEP_NM)
+    lam = colour.wavelengths(tones.STEP_NM)
     weights = colour.spectral_weights(lam)[int(np.argmin(np.abs(lam - wavelength)))]
-    return swatch(weights)
-
-
-def swatch(
-    xyz: Float[np.ndarray, "3"], illuminant: colour.IlluminantLike = "D65"
-) -> tuple[float, float, float]:
-    """SRGB of a colour as bright as the display can show it."""
-    linear = display(xyz[None], illuminant)[0]
-    r, g, b = encode(linear / linear.max())
-    return float(r), float(g), float(b)
+    return tones.swatch(weights)
 
 
 def _polar(direction: np.ndarray) -> float:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from diffopt import colour, lookup, shapes
+from diffopt import colour, lookup, shapes, tones
 from diffopt.choice import Choice
 from diffopt.diffraction import DiffractionBRDF
 from diffopt.errors import InputError
@@ -27,9 +27,6 @@ STEEPEST = math.radians(80.0)
 
 #: Reflectance of the parts of an object that are not of the material.
 NEUTRAL = 0.6
-
-# Samples shaded in one call: all pictures share one compiled program.
-_BLOCK = 65536
 
 
 @dataclasses.dataclass(frozen=True)
@@ -247,6 +244,7 @@ def bake(
         v=v,
         w=(w[0], min(w[1], 0.0)),
         size=min(385, max(33, size + 1)),
+        wavelengths=colour.wavelengths(tones.STEP_NM),
         illuminant=illuminant,
         progress=progress,
     )
@@ -261,11 +259,11 @@ def radiance(
     """F cos_i as XYZ for many pairs in the local frame, 0 beyond `GRAZING` for the viewer."""
     dtype = brdf.surface.heights.dtype
     out = np.zeros((len(wi), 3))
-    size = min(_BLOCK, max(len(wi), 1))
-    for first in range(0, len(wi), size):
-        part = slice(first, first + size)
+    for first in range(0, len(wi), tones.BLOCK):
+        part = slice(first, first + tones.BLOCK)
         count = len(wi[part])
-        pairs = np.zeros((2, size, 3))
+        # The last block is filled up: one shape, one compilation.
+        pairs = np.zeros((2, tones.BLOCK, 3))
         pairs[..., 2] = 1.0
         pairs[0, :count], pairs[1, :count] = wi[part], wo[part]
         pairs = jnp.asarray(pairs, dtype)
@@ -317,7 +315,7 @@ def _normal_colour(
     brdf: DiffractionBRDF, illuminant: colour.IlluminantLike
 ) -> Float[np.ndarray, "3"]:
     """XYZ of R at normal incidence over that of white."""
-    wavelengths = colour.wavelengths(10.0)
+    wavelengths = colour.wavelengths(tones.STEP_NM)
     weights = np.asarray(colour.spectral_weights(wavelengths, illuminant=illuminant))
     normal = brdf.fresnel.normal(jnp.asarray(wavelengths, brdf.surface.heights.dtype))
     return np.asarray(normal, np.float64) @ weights / weights.sum(axis=0)

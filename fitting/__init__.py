@@ -1,6 +1,10 @@
 """Fits over the forward model; import as ``diffopt.fitting``.
 
 Inverse problems solved with optimistix.
+
+==================  ==========================================================
+`heightfield`       a grating's parameters from its measured reflectance
+==================  ==========================================================
 """
 
 if __name__ != "diffopt.fitting":
@@ -9,3 +13,8 @@ if __name__ != "diffopt.fitting":
         "(install the project with `make demo` or `pip install -e .`), or a second copy "
         "of every module would be loaded"
     )
+
+from diffopt.fitting.heightfield import HeightfieldFit as HeightfieldFit
+from diffopt.fitting.heightfield import Measured as Measured
+from diffopt.fitting.heightfield import fit_heightfield as fit_heightfield
+from diffopt.fitting.heightfield import grating_brdf as grating_brdf

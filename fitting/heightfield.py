@@ -336,9 +336,8 @@ def _fit(measured, starts, fresnel, *, names, stages, tolerance, max_steps, orde
     solver = optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance)
 
     def solve(function, y):
-        dense = _with_dense_jacobian(function)
         done = optx.least_squares(
-            lambda y, _: dense(y), solver, y, max_steps=max_steps, throw=False
+            lambda y, _: function(y), solver, y, max_steps=max_steps, throw=False
         )
         # A stage that failed hands on where it began.
         y = jax.tree.map(lambda new, old: jnp.where(jnp.isfinite(new), new, old), done.value, y)
@@ -368,26 +367,11 @@ def _fit(measured, starts, fresnel, *, names, stages, tolerance, max_steps, orde
         errors = dict(zip(names, _standard_errors(jacobian, final), strict=True))
         return HeightfieldFit(model, errors, jnp.linalg.norm(final), steps + last, result)
 
+    if starts.period.shape[0] == 1:
+        return one(jax.tree.map(lambda leaf: leaf[0], starts))
     fits = eqx.filter_vmap(one)(starts)
     best = jnp.argmin(jnp.nan_to_num(fits.residual, nan=jnp.inf))
     return jax.tree.map(lambda leaf: leaf[best], fits)
-
-
-def _with_dense_jacobian(function):
-    """The same function, whose linearisation keeps its Jacobian [N, p] and nothing else.
-
-    The solver carries the linearised residuals through its loop; otherwise they would hold the
-    quadrature nodes of every Bessel function.
-    """
-    wrapped = jax.custom_jvp(function)
-
-    @wrapped.defjvp
-    def _(primals, tangents):
-        (y,), (dy,) = primals, tangents
-        jacobian = jax.jacfwd(function)(y)
-        return function(y), jnp.matmul(jacobian, dy, precision="highest")
-
-    return wrapped
 
 
 def _replace(model, names, values):
@@ -473,9 +457,7 @@ def _check(measured, starts, free, stages):
         raise InputError(f"stages must be 0 or more; received {stages}")
     size = measured.values.size
     if size <= len(names):
-        raise InputError(
-            f"values must outnumber the {len(names)} free parameters; received {size}"
-        )
+        raise InputError(f"values must outnumber the {len(names)} free parameters; received {size}")
     if stages and size > _MOST_VALUES:
         raise InputError(
             f"coarse stages take {_MOST_VALUES} values at most; received {size}: leave out "

@@ -68,12 +68,16 @@ def gaussian_axis(
     """
     x = positions(samples, step, frequency.dtype)
     shift = jnp.arange(-IMAGES, IMAGES + 1, dtype=x.dtype) * (samples * step)
-    x = x[None, :] + shift[:, None]
     # Nearest copy first: the window may sit anywhere on the periodic surface.
     middle = center - samples * step * jnp.round(center / (samples * step))
-    window = jnp.exp(-0.5 * ((x - middle) / sigma) ** 2) * (step / (math.sqrt(TWO_PI) * sigma))
+    distance = (x[None, :] + shift[:, None] - middle) / sigma
+    window = jnp.exp(-0.5 * distance**2) * (step / (math.sqrt(TWO_PI) * sigma))
+    # exp(2 pi i f (x + shift)) as a product: the window, which no direction changes, is
+    # summed over the copies by one matrix product for all directions.
+    turn_re, turn_im = cis_turns(frequency * shift)
+    re, im = _product(turn_re, window), _product(turn_im, window)
     cos, sin = cis_turns(frequency * x)
-    return jnp.stack([(window * cos).sum(0), (window * sin).sum(0)])
+    return jnp.stack([cos * re - sin * im, cos * im + sin * re])
 
 
 def finite_axis(

@@ -32,10 +32,11 @@ _USAGE: type[Exception] = next(
 )
 
 
-def _print_version(wanted: bool) -> None:
+def _print_version(wanted: bool) -> bool:
     if wanted:
         print(f"diffopt {__version__}")
         raise typer.Exit
+    return wanted
 
 
 @app.callback()

@@ -207,7 +207,7 @@ def job_of(scan: Heightfield, options: Appearance, *, periodic: bool) -> Job:
     if azimuth is None:
         azimuth = 0.0 if grating is None else math.degrees(grating[1])
         if grating is not None:
-            notes.append(f"azimuth {azimuth:.3g} degrees: across the dominant period")
+            notes.append(f"azimuth {azimuth:.1f} degrees: across the dominant period")
     if not periodic and brdf.patch_error() > 1e-3:
         warnings.append(
             f"the patch is {min(scan.extent) / coherence:.2g} coherence lengths wide: its edges "

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from diffopt import __version__, colour, pictures, views
+from diffopt import __version__, colour, tones, views
 from diffopt.cli.options import Job
 from diffopt.cli.progress import Stages
 
@@ -109,7 +109,7 @@ def peaks(cut: views.InPlane, illuminant: colour.IlluminantLike, most: int = 5) 
     weights = np.asarray(colour.spectral_weights(cut.wavelengths, illuminant=illuminant))[:, 1]
     found = []
     for index in inner:
-        shade = pictures.swatch(cut.xyz[index], illuminant)
+        shade = tones.swatch(cut.xyz[index], illuminant)
         seen = cut.spectra[index] * weights
         centre = float((cut.wavelengths * seen).sum() / seen.sum())
         code = "#" + "".join(f"{round(255 * float(c)):02x}" for c in shade)

@@ -32,7 +32,6 @@ def accuracy(
     ] = None,
 ) -> None:
     """Error against time of every approximation: table, plot, CSV."""
-
     from diffopt import checks, studies
     from diffopt.cli.output import folder
     from diffopt.cli.progress import stages, terminal

@@ -1,0 +1,757 @@
+"""The inputs on which numerical code breaks, by kernel: limits, poles, cancellations.
+
+Every array-valued public function of `diffopt.kernels` has at least one row here (a test
+sees to it). A row gives the arguments and a twin in NumPy extended precision (80 bits);
+values, compiled and not, in both dtypes, are compared with the twin, gradients with central
+differences of the twin. `ulps` is the error allowed, in units of the dtype's eps times the
+largest value; its reason stands beside it where it is not a handful of operations.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.special import gammaln
+
+from diffopt.kernels import (
+    dtft,
+    ensemble,
+    frames,
+    fresnel,
+    gather,
+    phase,
+    prefactor,
+    separable,
+    special,
+    spectrum,
+)
+
+LD = np.longdouble
+PI = LD("3.14159265358979323846264338327950288")
+
+
+@dataclass(frozen=True)
+class Hard:
+    """One hard input of one kernel."""
+
+    kernel: str
+    label: str
+    call: Callable
+    arguments: tuple
+    twin: Callable
+    ulps: float = 8.0
+    smooth: bool = True
+    gradient_ulps: float = 1e3
+
+
+def rows():
+    """All hard cases."""
+    yield from _phases()
+    yield from _transforms()
+    yield from _expansions()
+    yield from _directions()
+    yield from _ensembles()
+    yield from _reflectances()
+    yield from _colours()
+
+
+def _turn(t):
+    """Cosine and sine of an angle in turns, reduced exactly."""
+    angle = 2 * PI * (t - np.round(t))
+    return np.cos(angle), np.sin(angle)
+
+
+def _phases():
+    for t in (0.0, 0.25, 0.5, -0.75, 1e-30, 2.0**20 + 0.125):
+        yield Hard("phase.cis_turns", f"t={t}", phase.cis_turns, (t,), _turn, gradient_ulps=64)
+    for t in (-1.0, 1.0, 0.0, float(np.cos(np.pi / 10))):
+        yield Hard(
+            "phase.chebyshev_weights",
+            f"t={t}",
+            partial(phase.chebyshev_weights, nodes=5),
+            (t,),
+            lambda t: _lagrange(t, 5),
+            ulps=30,
+            gradient_ulps=500,  # the slope of a Chebyshev polynomial of degree 4 is up to 16
+        )
+    yield Hard(
+        "phase.chebyshev_points",
+        "one node",
+        lambda x: phase.chebyshev_points(1, x.dtype) + 0.0 * x,
+        (1.0,),
+        lambda x: 0.0 * x,
+    )
+    for x in (0.0, 1e-9, 0.5, -0.4999999, 13.25):
+        yield Hard(
+            "special.sinc",
+            f"x={x}",
+            special.sinc,
+            (x,),
+            lambda x: np.sin(PI * x) / (PI * x) if x else LD(1),
+            smooth=abs(x) > 1e-8,
+            gradient_ulps=200,
+        )
+    for t, n in ((0.0, 26), (3.0, 26), (2.0 + 2.0**-12, 26), (0.5, 7), (1e-9, 1001)):
+        yield Hard(
+            "special.dirichlet",
+            f"t={t}, N={n}",
+            partial(special.dirichlet, copies=n),
+            (t,),
+            partial(_dirichlet, n=n),
+            ulps=8 + n,  # rounding of N t
+            gradient_ulps=20 * n,
+        )
+
+
+def _lagrange(t, nodes):
+    points = np.cos(PI * (np.arange(nodes) + LD(0.5)) / nodes)
+    out = []
+    for j in range(nodes):
+        others = np.delete(points, j)
+        out.append(np.prod((t - others) / (points[j] - others)))
+    return np.array(out)
+
+
+def _dirichlet(t, n):
+    cos, sin = _turn((t - np.round(t)) * np.arange(n))
+    return cos.mean(), sin.mean()
+
+
+# A patch of 6 x 5 samples, its window and its transforms, written out.
+STEP = 0.25
+ROUGH = np.mod(0.7548776662466927 * np.arange(5) + 0.5698402909980532 * np.arange(6)[:, None], 1)
+FLAT = np.zeros((6, 5))
+DEEP = 11.0 * ROUGH  # 20 wavelengths of 0.55 um
+
+
+def _positions(n):
+    return (np.arange(n) - n // 2) * LD(STEP)
+
+
+def _gaussian(f, sigma, center, n=6):
+    length = n * LD(STEP)
+    center = center - length * np.round(center / length)
+    x = _positions(n)[None] + length * np.arange(-12, 13)[:, None]
+    g = np.exp(-((x - center) ** 2) / (2 * sigma**2)) * LD(STEP) / (np.sqrt(2 * PI) * sigma)
+    cos, sin = _turn(f * x)
+    return np.stack([(g * cos).sum(0), (g * sin).sum(0)])
+
+
+def _bins(f, spread, n=6):
+    d = f - np.arange(n) / (n * LD(STEP))
+    d = d - np.round(d * LD(STEP)) / LD(STEP)
+    return np.exp(-((d / spread) ** 2))
+
+
+def _amplitude(h, s, ax, ay):
+    cos, sin = _turn(s * h)
+    p = (cos + 1j * sin) * (ay[0] + 1j * ay[1])[:, None] * (ax[0] + 1j * ax[1])[None, :]
+    return p.sum().real, p.sum().imag
+
+
+def _intensity(h, s, ax, ay):
+    re, im = _amplitude(h, s, ax, ay)
+    return re**2 + im**2
+
+
+def _power(h, s):
+    cos, sin = _turn(s * h)
+    p = cos + 1j * sin
+    out = []
+    for n in h.shape:
+        k = np.outer(np.arange(n), np.arange(n)) / LD(n)
+        c, q = _turn(k)
+        out.append((c + 1j * q) / n)
+    c = out[0] @ p @ out[1].T
+    return c.real**2 + c.imag**2
+
+
+def _averaged(h, s, wx, wy):
+    return wy @ _power(h, s) @ wx
+
+
+def _transforms():
+    axis = partial(dtft.gaussian_axis, 6, STEP)
+    for f, sigma, center in (
+        (0.0, 0.3, 0.0),
+        (2.0, 0.25, 0.0),
+        (-1.9, 0.7, 40.1),
+        (0.3, 0.5, -0.75),
+    ):
+        yield Hard(
+            "dtft.gaussian_axis",
+            f"f={f}, sigma={sigma}, at {center}",
+            axis,
+            (f, sigma, center),
+            _gaussian,
+            ulps=60,  # turns of f x up to 10, x4 in 2 pi
+            smooth=abs(center) < 0.5,
+            gradient_ulps=2e3,
+        )
+    for f in (0.0, 0.3, 2.0, 4.0, -1e-20):
+        yield Hard(
+            "dtft.finite_axis",
+            f"f={f}",
+            lambda f: dtft.finite_axis(6, STEP, f, 3),
+            (f,),
+            lambda f: _finite(f, 6, 3),
+            ulps=60,
+            gradient_ulps=2e3,
+        )
+        yield Hard(
+            "dtft.bin_weights",
+            f"f={f}",
+            partial(dtft.bin_weights, 6, STEP),
+            (f, 0.6),
+            _bins,
+            smooth=f == 0.3,  # elsewhere a bin stands where two aliases meet
+        )
+    yield Hard("dtft.bin_weights", "narrow", partial(dtft.bin_weights, 6, STEP), (0.1, 1e-6), _bins)
+    yield Hard(
+        "dtft.positions",
+        "one sample",
+        lambda x: dtft.positions(1, STEP, x.dtype) + 0.0 * x,
+        (1.0,),
+        lambda x: np.zeros(1, LD),
+    )
+    ax, ay = _gaussian(LD(0.4), LD(0.3), LD(0.1), 5), _gaussian(LD(-0.7), LD(0.3), LD(0.0))
+    wx, wy = _bins(LD(0.4), LD(0.6), 5), _bins(LD(-0.7), LD(0.6))
+    for name, h, s in (
+        ("flat", FLAT, -3.0),
+        ("w = 0", ROUGH, 0.0),
+        ("w -> 0", ROUGH, -1e-20),
+        ("20 wavelengths", DEEP, -3.6),
+        ("rough", ROUGH, -2.0),
+    ):
+        # Each phase of 40 turns rounds by 40 x 2 pi eps / 2; 30 samples of both signs.
+        ulps = 400 if name == "20 wavelengths" else 40
+        options = {"ulps": ulps, "gradient_ulps": 100 * ulps}
+        yield Hard("dtft.amplitude", name, dtft.amplitude, (h, s, ax, ay), _amplitude, **options)
+        yield Hard(
+            "dtft.coherent_intensity",
+            name,
+            dtft.coherent_intensity,
+            (h, s, ax, ay),
+            _intensity,
+            **options,
+        )
+        yield Hard("dtft.power_spectrum", name, dtft.power_spectrum, (h, s), _power, **options)
+        yield Hard(
+            "dtft.averaged_intensity",
+            name,
+            dtft.averaged_intensity,
+            (h, s, wx, wy),
+            _averaged,
+            **options,
+        )
+    one = np.ones((2, 1)) * [[1.0], [0.0]]
+    yield Hard(
+        "dtft.coherent_intensity",
+        "one sample",
+        dtft.coherent_intensity,
+        (np.full((1, 1), 0.1), -3.0, one, one),
+        _intensity,
+        ulps=20,
+    )
+    yield Hard(
+        "separable.contract",
+        "one line",
+        lambda y, c, s, x: separable.contract(y, (c, s), x, grid=False),
+        (ay[:, None], ROUGH, ROUGH, ax[:, None]),
+        lambda y, c, s, x: _contract(y, c, s, x),
+    )
+    for name, s in (("one w", [-2.0, -2.0]), ("two w", [-2.0, -1.5])):
+        yield Hard(
+            "separable.averaged",
+            name,
+            lambda h, s: separable.averaged(
+                h,
+                s,
+                jnp.asarray(np.stack([wx, wx]), h.dtype),
+                jnp.asarray(np.stack([wy, wy]), h.dtype),
+                nodes=22,
+                grid=False,
+            ),
+            (ROUGH, np.array(s)),
+            lambda h, s: np.array([_averaged(h, v, wx, wy) for v in s]),
+            # the weights of 22 nodes sum 22 products each
+            ulps=300,
+            smooth=name == "two w",
+            gradient_ulps=3e4,
+        )
+        yield Hard(
+            "separable.coherent",
+            name,
+            lambda h, s: separable.coherent(
+                h,
+                s,
+                jnp.asarray(np.stack([ax, ax], 1), h.dtype),
+                jnp.asarray(np.stack([ay, ay], 1), h.dtype),
+                nodes=22,
+                grid=False,
+            ),
+            (ROUGH, np.array(s)),
+            lambda h, s: np.array([_intensity(h, v, ax, ay) for v in s]),
+            ulps=300,
+            smooth=name == "two w",
+            gradient_ulps=3e4,
+        )
+
+
+def _contract(y, c, s, x):
+    total = (y[0, 0] + 1j * y[1, 0]) @ (c + 1j * s) @ (x[0, 0] + 1j * x[1, 0])
+    return np.array([total.real]), np.array([total.imag])
+
+
+def _finite(f, n, copies):
+    cos, sin = _turn(f * _positions(n))
+    re, im = _dirichlet(f * n * LD(STEP), copies)
+    return np.stack([cos * re - sin * im, cos * im + sin * re]) / n
+
+
+def _coefficients(x, terms):
+    n = np.arange(terms)
+    size = np.concatenate([[LD(1)], np.cumprod(x / n[1:])])
+    turn = np.array([1, 1j, -1, -1j])[n % 4]
+    return size * turn.real, size * turn.imag
+
+
+def _expansions():
+    for x in (0.0, -10.0, 1e-20):
+        yield Hard(
+            "gather.taylor_coefficients",
+            f"x={x}",
+            lambda x: gather.taylor_coefficients(x, 30),
+            (x,),
+            lambda x: _coefficients(x, 30),
+            ulps=40,
+        )
+    for name, h in (("flat", FLAT), ("rough", ROUGH)):
+        yield Hard(
+            "gather.height_scale",
+            name,
+            partial(gather.height_scale, centred=False),
+            (h,),
+            lambda h: (h.min(), np.ptp(h) if np.ptp(h) > 0 else LD(1)),
+            smooth=False,
+        )
+        yield Hard(
+            "gather.taylor_tables",
+            name,
+            lambda h: gather.taylor_tables(h, 1, terms=3, centred=False)[1:-1, 1:-1, 0],
+            (h,),
+            lambda h: _delta(h.shape),
+            smooth=False,
+        )
+        yield Hard(
+            "gather.gather_bins",
+            name,
+            partial(_gathered, "bins"),
+            (h, -3.0),
+            lambda h, x: _all_bins(h, x),
+            ulps=200,
+            smooth=False,
+        )
+        for mode, twin in (("averaged", _averaged_all), ("coherent", _coherent_all)):
+            yield Hard(
+                f"gather.{mode}",
+                name,
+                partial(_gathered, mode),
+                (h, -3.0),
+                twin,
+                ulps=400,
+                smooth=False,
+            )
+    for f in (0.0, 1.999, -2.0):
+        yield Hard(
+            "gather.axis_bins",
+            f"f={f}",
+            lambda f: gather.axis_bins(6, STEP, f, 2)[1],
+            (f,),
+            lambda f: f - (np.round(f * LD(1.5)) + np.arange(-2, 3)) / LD(1.5),
+            smooth=False,
+        )
+
+
+def _delta(shape):
+    out = np.zeros((*shape, 2), LD)
+    out[shape[0] // 2, shape[1] // 2, 0] = 1
+    return out
+
+
+def _scaled(h, x):
+    """Heights such that x is the phase of the highest point."""
+    span = np.ptp(h) if np.ptp(h) > 0 else LD(1)
+    return (h - h.min()) / span, x / (2 * PI)
+
+
+def _gathered(mode, h, x):
+    """All bins (reach 2 of a 5 x 5 patch) around zero frequency."""
+    h = h[:5]
+    tables = gather.taylor_tables(h, 2, terms=24, centred=False)
+    bins = gather.axis_bins(5, STEP, jnp.zeros((), h.dtype), 2)
+    if mode == "bins":
+        return gather.gather_bins(tables, x, (bins[0], bins[0]), taps=5)
+    width = jnp.asarray(0.6, h.dtype)
+    if mode == "averaged":
+        return gather.averaged(tables, x, bins, bins, width, (5, 5))
+    return gather.coherent(tables, x, bins, bins, width, jnp.zeros(2, h.dtype))
+
+
+def _spectrum(h, x):
+    t, s = _scaled(h[:5], x)
+    cos, sin = _turn(s * t)
+    n = np.arange(5) - 2
+    c, q = _turn(np.outer(n, n) / LD(5))
+    e = (c + 1j * q) / 5
+    return e @ (cos + 1j * sin) @ e.T
+
+
+def _all_bins(h, x):
+    c = _spectrum(h, x)
+    return c.real, c.imag
+
+
+def _averaged_all(h, x):
+    w = np.exp(-((((np.arange(5) - 2) / LD(1.25)) / LD(0.6)) ** 2))
+    return w @ np.abs(_spectrum(h, x)) ** 2 @ w
+
+
+def _coherent_all(h, x):
+    w = np.exp(-((2 * PI * LD(0.6) * (np.arange(5) - 2) / LD(1.25)) ** 2) / 2)
+    return np.abs(w @ _spectrum(h, x) @ w) ** 2
+
+
+def _unit(degrees, azimuth=0.0):
+    t, p = np.radians(degrees), np.radians(azimuth)
+    return np.array([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)])
+
+
+GRAZING = _unit(89.999)
+
+
+def _square(q):
+    return (q * q).sum()
+
+
+def _directions():
+    pairs = {
+        "normal": (_unit(0), _unit(0)),
+        "grazing mirror": (GRAZING, GRAZING * [-1, -1, 1]),
+        "grazing retro": (GRAZING, GRAZING),
+        "one grazing": (GRAZING, _unit(10, 40.0)),
+    }
+    for name, (wi, wo) in pairs.items():
+        wave = -(wi + wo)
+        yield Hard("frames.wave_vector", name, frames.wave_vector, (wi, wo), lambda a, b: -(a + b))
+        yield Hard(
+            "frames.half_cosine",
+            name,
+            frames.half_cosine,
+            (wave,),
+            lambda q: np.sqrt(_square(q)) / 2,
+        )
+        yield Hard(
+            "frames.v_cavity",
+            name,
+            frames.v_cavity,
+            (wave, wi[2], wo[2]),
+            lambda q, a, b: min(LD(1), 4 * abs(q[2]) * min(a, b) / _square(q)),
+            smooth=name == "one grazing",
+        )
+        yield Hard(
+            "frames.above_horizon",
+            name,
+            lambda a, b: frames.above_horizon(a, b)[1:],
+            (wi, wo),
+            lambda a, b: (a, b),
+            smooth=False,
+        )
+        twins = {
+            "stam": lambda q, a, b: (_square(q) / q[2]) ** 2 / (4 * a * b),
+            "ghs": lambda q, a, b: b / a,
+            "rghs": lambda q, a, b: q[2] ** 2 / (4 * a * b),
+            "kirchhoff": lambda q, a, b: 1 / (4 * a * b),
+        }
+        for model, twin in twins.items():
+            # the gradient divides by cosines of 1.7e-5: relative differences, not ulps, of it
+            yield Hard(
+                "prefactor.geometric_factor",
+                f"{model}, {name}",
+                partial(prefactor.geometric_factor, model),
+                (wave, wi[2], wo[2]),
+                twin,
+                ulps=16,
+            )
+        yield Hard(
+            "prefactor.height_factor",
+            name,
+            partial(prefactor.height_factor, "stam"),
+            (wave,),
+            lambda q: q[2],
+        )
+        yield Hard(
+            "prefactor.kirchhoff_weight",
+            name,
+            prefactor.kirchhoff_weight,
+            (wave, ROUGH, -ROUGH),
+            lambda q, x, y: q[0] * x + q[1] * y - q[2],
+        )
+    for theta, phi in ((0.0, 0.0), (np.pi / 2, np.pi), (1e-20, 3.0)):
+        yield Hard(
+            "frames.spherical",
+            f"{theta:.3g}, {phi:.3g}",
+            frames.spherical,
+            (theta, phi),
+            lambda t, p: np.array([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)]),
+        )
+
+
+def _poisson_sum(q, kappa, rms, length):
+    g, a = (kappa * rms) ** 2, (q * length) ** 2 / 4
+    if g == 0:
+        return LD(0)
+    low = max(1, int(g - 12 * np.sqrt(g)) - 40)
+    m = np.arange(low, int(g + 12 * np.sqrt(g) + 4 * np.sqrt(a) + 200), dtype=LD)
+    logs = m * np.log(g) - g - _log_factorial(m) - a / m
+    return (np.exp(logs) * PI * length**2 / m).sum()
+
+
+def _log_factorial(m):
+    """log(m!) in extended precision: scipy below 40, Stirling's series above (1e-17)."""
+    i2 = 1 / m**2
+    series = (1 / LD(12) - i2 * (1 / LD(360) - i2 * (1 / LD(1260) - i2 / 1680))) / m
+    stirling = m * np.log(m) - m + np.log(2 * PI * m) / 2 + series
+    return np.where(m < 40, LD(1) * gammaln(np.asarray(m + 1, float)), stirling)
+
+
+def _bump(qx, qy, kappa, height, sx, sy, density):
+    n = np.arange(1, 90)
+    size = np.cumprod(kappa * height / n) * np.array([1, 1j, -1, -1j])[n % 4]
+    series = lambda x, y: (  # noqa: E731
+        size * 2 * PI * sx * sy / n * np.exp(-((x * sx) ** 2 + (y * sy) ** 2) / (2 * n))
+    ).sum()
+    mirror = np.exp(2 * density * series(0 * qx, 0 * qy).real)
+    return density * np.abs(series(qx, qy)) ** 2 * mirror, mirror
+
+
+def _ensembles():
+    for q, kappa, rms, smooth in (
+        (0.0, -20.0, 0.0, False),
+        (3.0, -20.0, 1e-4, True),
+        (0.0, -20.0, 0.05, True),
+        (40.0, -20.0, 0.3, True),
+        (200.0, -30.0, 10.0, True),
+    ):
+        yield Hard(
+            "ensemble.gaussian_roughness",
+            f"q={q}, rms={rms}",
+            ensemble.gaussian_roughness,
+            (q, kappa, rms, 0.8),
+            _poisson_sum,
+            # The twin's log-gamma is good to 1e-16 of up to 1e6; the kernel's terms to
+            # eps times their exponent's spread.
+            ulps=3e3,
+            smooth=smooth and rms < 1,
+            gradient_ulps=3e5,
+        )
+    for kappa, rms in ((0.0, 1.0), (-20.0, 0.0), (-30.0, 10.0), (-20.0, 0.02)):
+        yield Hard(
+            "ensemble.gaussian_mirror",
+            f"{kappa}, {rms}",
+            ensemble.gaussian_mirror,
+            (kappa, rms),
+            lambda k, r: np.exp(-((k * r) ** 2)),
+            ulps=20,
+        )
+    for height in (0.0, 1e-8, 0.2):
+        yield Hard(
+            "ensemble.random_bumps",
+            f"height={height}",
+            partial(ensemble.random_bumps, terms=60),
+            (3.0, -2.0, -25.0, height, 0.3, 0.2, 0.5),
+            _bump,
+            # terms up to 5^5/5! = 26 cancel
+            ulps=500,
+            gradient_ulps=3e4,
+        )
+
+
+def _dielectric(cos, n):
+    ct = np.sqrt(np.asarray(1 - (1 - cos**2) / n**2, np.clongdouble))
+    rs, rp = (cos - n * ct) / (cos + n * ct), (n * cos - ct) / (n * cos + ct)
+    return np.abs(rs) ** 2, np.abs(rp) ** 2
+
+
+def _conductor(cos, eta, k):
+    return _dielectric(cos, eta + 1j * k)
+
+
+def _reflectances():
+    for cos in (0.0, 1e-20, 1e-4, 0.5, 1.0):
+        edge = cos in (0.0, 1e-20, 1.0)
+        for n in (0.67, 1.0 + 2.0**-20, 1.5):
+            smooth = n == 1.5 and not edge or (cos == 0.5 and n == 0.67)
+            arguments = (np.float64(cos), n)
+            yield Hard(
+                "fresnel.dielectric_polarised",
+                f"cos={cos}, n={n}",
+                fresnel.dielectric_polarised,
+                arguments,
+                _dielectric,
+                ulps=60,
+                smooth=smooth,
+                gradient_ulps=1e5,
+            )
+            yield Hard(
+                "fresnel.dielectric",
+                f"cos={cos}, n={n}",
+                fresnel.dielectric,
+                arguments,
+                lambda c, n: sum(_dielectric(c, n)) / 2,
+                ulps=60,
+                smooth=smooth,
+                gradient_ulps=1e5,
+            )
+        for eta, k in ((0.96, 6.7), (1.5, 1e-6), (0.05, 3.0)):
+            arguments = (np.float64(cos), eta, k)
+            yield Hard(
+                "fresnel.conductor_polarised",
+                f"cos={cos}, {eta}+{k}i",
+                fresnel.conductor_polarised,
+                arguments,
+                _conductor,
+                ulps=60,
+                smooth=not edge,
+                gradient_ulps=1e5,
+            )
+            yield Hard(
+                "fresnel.conductor",
+                f"cos={cos}, {eta}+{k}i",
+                fresnel.conductor,
+                arguments,
+                lambda c, e, k: sum(_conductor(c, e, k)) / 2,
+                ulps=60,
+                smooth=not edge,
+                gradient_ulps=1e5,
+            )
+        yield Hard(
+            "fresnel.schlick",
+            f"cos={cos}",
+            fresnel.schlick,
+            (np.float64(cos), 0.04),
+            lambda c, r: r + (1 - r) * (1 - c) ** 5,
+            smooth=not edge,
+        )
+    for re, im in ((-40.0, 15.0), (2.25, 0.0), (-9.0, 1e-6), (1e-3, 1e-3)):
+        yield Hard(
+            "fresnel.index_from_permittivity",
+            f"{re}+{im}i",
+            fresnel.index_from_permittivity,
+            (re, im),
+            _index,
+            ulps=20,
+            smooth=im > 1e-3,
+        )
+
+
+def _index(re, im):
+    size = np.hypot(re, im)
+    larger = np.sqrt((size + np.abs(re)) / 2)
+    smaller = im / (2 * larger)
+    return (larger, smaller) if re >= 0 else (smaller, larger)
+
+
+MATRIX = np.array([[3.24, -1.54, -0.5], [-0.97, 1.88, 0.04], [0.06, -0.2, 1.06]])
+
+
+def _colours():
+    for value in (0.0, 0.0031308, -0.2, 1.0, 1e-30, 7.0):
+        yield Hard(
+            "spectrum.encode_srgb",
+            f"{value}",
+            spectrum.encode_srgb,
+            (value,),
+            lambda x: (
+                12.92 * x
+                if abs(x) <= 0.0031308
+                else np.sign(x) * (LD(1.055) * np.abs(x) ** (1 / LD(2.4)) - LD(0.055))
+            ),
+            ulps=16,
+            smooth=value != 0.0031308,
+        )
+        yield Hard(
+            "spectrum.decode_srgb",
+            f"{value}",
+            spectrum.decode_srgb,
+            (value,),
+            lambda x: (
+                x / LD(12.92)
+                if abs(x) <= 0.04045
+                else np.sign(x) * ((np.abs(x) + LD(0.055)) / LD(1.055)) ** LD(2.4)
+            ),
+            ulps=16,
+        )
+    for name, rgb, y in (
+        ("inside", [0.2, 0.3, 0.4], 0.29),
+        ("negative", [-0.5, 0.6, 0.1], 0.33),
+        ("black", [0.0, 0.0, 0.0], 0.0),
+        ("dark", [-0.1, -0.1, 0.2], -0.05),
+    ):
+        rgb = np.array(rgb)
+        for choice in spectrum.GAMUTS:
+            yield Hard(
+                "spectrum.fit_gamut",
+                f"{choice}, {name}",
+                partial(spectrum.fit_gamut, choice=choice),
+                (rgb, y),
+                partial(_gamut, choice=choice),
+                smooth=False,
+            )
+        yield Hard(
+            "spectrum.desaturate",
+            name,
+            spectrum.desaturate,
+            (rgb, y),
+            partial(_gamut, choice="desaturate"),
+            smooth=False,
+        )
+        yield Hard(
+            "spectrum.transform",
+            name,
+            spectrum.transform,
+            (rgb, MATRIX),
+            lambda x, m: m @ x,
+            ulps=16,
+        )
+        yield Hard(
+            "spectrum.weights_to_xyz",
+            name,
+            spectrum.weights_to_xyz,
+            (rgb, MATRIX),
+            lambda x, m: x @ m,
+            ulps=16,
+        )
+    yield Hard(
+        "spectrum.trapezoid_weights",
+        "uneven",
+        spectrum.trapezoid_weights,
+        (np.array([0.38, 0.4, 0.5, 0.78]),),
+        lambda x: np.array(
+            [(x[1] - x[0]) / 2, (x[2] - x[0]) / 2, (x[3] - x[1]) / 2, (x[3] - x[2]) / 2]
+        ),
+        ulps=16,
+    )
+
+
+def _gamut(rgb, y, choice):
+    if choice == "none":
+        return rgb
+    if choice == "clip":
+        return np.maximum(rgb, 0)
+    if y <= 0:
+        return 0 * rgb
+    t = min([LD(1)] + [y / (y - c) for c in rgb if c < 0])
+    return np.maximum(y + t * (rgb - y), 0)

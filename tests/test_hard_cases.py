@@ -1,0 +1,105 @@
+"""Every kernel on its hard inputs: value and gradient, compiled and not, in both dtypes."""
+
+import importlib
+import inspect
+import pkgutil
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hard_cases import LD, rows
+
+import diffopt.kernels
+
+ROWS = list(rows())
+IDS = [f"{r.kernel}-{r.label}".replace(" ", "") for r in ROWS]
+# Differences of the 80-bit twin over at most 1e-8: 1e-11 of rounding; over 1e-9 at cosines of
+# 1.7e-5, 4e-9 of the third derivative.
+STEP = LD("1e-6")
+
+
+def public_kernels():
+    """Names of the array-valued functions of the kernels."""
+    for info in pkgutil.iter_modules(diffopt.kernels.__path__):
+        module = importlib.import_module(f"diffopt.kernels.{info.name}")
+        for name, function in vars(module).items():
+            if name.startswith("_") or not callable(function):
+                continue
+            if getattr(function, "__module__", None) != module.__name__:
+                continue
+            if inspect.signature(function).return_annotation in (float, int):
+                continue  # bounds: plain numbers, tested beside their kernels
+            yield f"{info.name}.{name}"
+
+
+def test_every_kernel_has_rows():
+    missing = set(public_kernels()) - {r.kernel for r in ROWS}
+    assert not missing, f"no hard cases for {sorted(missing)}"
+
+
+def flat(value):
+    leaves = value if isinstance(value, tuple | list) else (value,)
+    return np.concatenate([np.asarray(v).astype(LD).ravel() for v in leaves])
+
+
+def scalar(value):
+    """One number from all outputs, every output counting differently."""
+    leaves = value if isinstance(value, tuple | list) else (value,)
+    total, index = 0.0, 0
+    for leaf in leaves:
+        weights = np.cos(np.arange(index, index + np.size(leaf)) + 0.3).reshape(np.shape(leaf))
+        if isinstance(leaf, jax.Array):
+            total = total + (leaf * jnp.asarray(weights, leaf.dtype)).sum()
+        else:
+            total = total + (np.asarray(leaf) * weights).sum()
+        index += np.size(leaf)
+    return total
+
+
+def rounded(arguments, dtype):
+    """Arguments as the dtype holds them: the twin must see the same numbers."""
+    held = tuple(np.asarray(a).astype(dtype) for a in arguments)
+    # 0-d arrays keep NumPy functions from returning plain floats.
+    return tuple(jnp.asarray(a) for a in held), tuple(a.astype(LD)[()] for a in held)
+
+
+@pytest.mark.parametrize("row", ROWS, ids=IDS)
+def test_value_and_gradient(row, dtype):
+    arguments, exact = rounded(row.arguments, dtype)
+    eps = float(jnp.finfo(dtype).eps)
+    expected = flat(row.twin(*exact))
+    scale = float(np.abs(expected).max()) or 1.0
+    for run in (row.call, jax.jit(row.call)):
+        error = float(np.abs(flat(run(*arguments)) - expected).max())
+        assert error <= row.ulps * eps * scale, f"{error / eps / scale:.3g} ulps"
+
+    slopes = jax.jit(jax.grad(lambda *a: scalar(row.call(*a)), tuple(range(len(arguments)))))(
+        *arguments
+    )
+    assert all(bool(jnp.isfinite(s).all()) for s in slopes)
+    if not row.smooth:
+        return
+    for index, slope in enumerate(slopes):
+        numeric = differences(row.twin, exact, index)
+        # A slope is judged beside the value it belongs to, over the argument's size.
+        size = max(float(np.abs(numeric).max()), scale)
+        error = float(np.abs(np.asarray(slope).astype(LD) - numeric).max())
+        assert error <= (row.gradient_ulps * eps + 1e-8) * size, f"argument {index}"
+
+
+def differences(twin, exact, index):
+    """Central differences of the twin in one argument, entry by entry."""
+    at = np.array(exact[index], dtype=LD)
+    out = np.zeros(at.shape, LD)
+    for place in np.ndindex(at.shape):
+        ends, width = [], LD(0)
+        step = STEP * min(max(abs(at[place]), LD(1e-3)), LD(1e-2))
+        for sign in (1, -1):
+            moved = at.copy()
+            moved[place] += sign * step
+            width += sign * moved[place]  # as it was rounded
+            moved_arguments = (*exact[:index], moved[()], *exact[index + 1 :])
+            ends.append(scalar(twin(*moved_arguments)))
+        out[place] = (ends[0] - ends[1]) / width
+    return out
