@@ -18,8 +18,9 @@
 `lookup`               colours as a table over wave vectors, for drawing
 `measurement`          cost of a compiled function
 `studies`              accuracy against time: the protocol, and `study`
-`diffraction_studies`  the studies of the diffraction methods
-`benchmarks`           cost of what runs often
+`study_output`         tables, plots and files of their results
+`diffraction_studies`  the studies of the diffraction methods, on `study_jobs`
+`benchmarks`           cost of what runs often; `diffraction_benchmarks`
 `fresnel`              reflectance of mirrors, glasses and metals
 `colour`               spectra to XYZ to sRGB
 =====================  ==========================================================

@@ -33,10 +33,10 @@ class CostModel:
 
     window_sample: float = 2.0e-9
     positions_sample: float = 8.0e-9
-    product: float = 4.0e-11
+    product: float = 1.5e-11
     tap_term: float = 1.2e-9
-    evaluation: float = 1.0e-6
-    table_sample: float = 3.0e-8
+    evaluation: float = 5.0e-7
+    table_sample: float = 2.0e-8
 
 
 @dataclass(frozen=True)

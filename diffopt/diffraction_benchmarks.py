@@ -13,10 +13,10 @@ import numpy as np
 
 from diffopt import colour, methods
 from diffopt.benchmarks import Benchmark, Entry
-from diffopt.diffraction_studies import hard_and_random, make_surface, wave_vectors
 from diffopt.kernels import dtft, phase, spectrum
 from diffopt.methods import Coverage, Surface
 from diffopt.settings import DirectSettings, SeparableSettings, TaylorSettings
+from diffopt.study_jobs import hard_and_random, make_surface, wave_vectors
 
 PIXEL = 0.05
 PHASE_RANGE = 5.0

@@ -9,21 +9,17 @@ toolkit registers a study in `NAMES`.
 >>> result.where(average="window").cheapest(1e-3).settings["reach"]
 """
 
-import csv
-import io
-import itertools
 import os
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
+from diffopt import study_output
 from diffopt.errors import InputError
-from diffopt.io.files import replacing
 from diffopt.measurement import compile_ahead, measure
 
 # Where each study is defined; modules are imported when a study is asked for.
@@ -162,7 +158,7 @@ class Study:
         rows = []
         for done, case in enumerate(cases):
             if progress is not None:
-                progress(done, len(cases), _label(case.settings))
+                progress(done, len(cases), study_output.label(case.settings))
             with jax.enable_x64(case.dtype == "float64"):
                 rows.append(_row(case, programs, repeats))
         if progress is not None:
@@ -218,7 +214,9 @@ class StudyResult:
                 )
         rows = tuple(r for r in self.rows if all(r.settings[k] == v for k, v in settings.items()))
         if not rows:
-            raise InputError(f"study {self.study.name!r}: no row has {_label(settings)}")
+            raise InputError(
+                f"study {self.study.name!r}: no row has {study_output.label(settings)}"
+            )
         return StudyResult(self.study, rows)
 
     def problems(self) -> list["StudyResult"]:
@@ -270,29 +268,10 @@ class StudyResult:
 
     def table(self) -> Any:
         """A `rich.table.Table` of all rows; those of the front carry a star."""
-        from rich.table import Table
-
-        front = set(map(id, self.front()))
-        names = _names(self.rows)
-        optional = [c for c in _OPTIONAL if any(c[1](row) for row in self.rows)]
-        table = Table(
-            title=f"{self.study.name}: {self.study.quantity}",
-            caption=f"Reference: {self.study.reference}. * on the front of error against run time.",
-        )
-        for name in [*names, "error", "run", "", *(title for title, _ in optional)]:
-            table.add_column(name, justify="left" if name in names else "right")
-        for row in self.rows:
-            table.add_row(
-                *(_text(row.settings.get(name, "")) for name in names),
-                f"{row.error:.1e}",
-                seconds(row.run_s),
-                "*" if id(row) in front else "",
-                *(show(row) for _, show in optional),
-            )
-        return table
+        return study_output.table(self)
 
     def __str__(self) -> str:
-        return as_text(self.table())
+        return study_output.as_text(self.table())
 
     def plot(self, path: str | os.PathLike | None = None) -> Any:
         """Error against run time, both logarithmic, settings written on each point.
@@ -307,64 +286,14 @@ class StudyResult:
         matplotlib.figure.Figure
             With a line along the front of each problem.
         """
-        from matplotlib.figure import Figure
-
-        figure = Figure(figsize=(9.0, 6.0), layout="constrained")
-        axes = figure.add_subplot()
-        varying = [n for n in _names(self.rows) if len({r.settings.get(n) for r in self.rows}) > 1]
-        on_points = [n for n in varying if n not in self.study.conditions] or varying
-        floor = min((r.error for r in self.rows if r.error > 0), default=1e-17)
-        for index, problem in enumerate(self.problems()):
-            colour = f"C{index % 10}"
-            conditions = {
-                n: problem.rows[0].settings[n] for n in self.study.conditions if n in varying
-            }
-            # An error of exactly 0 stands at the smallest of the others.
-            x = [row.run_s * 1e3 for row in problem.rows]
-            y = [max(row.error, floor) for row in problem.rows]
-            axes.plot(x, y, "o", ms=4, color=colour, label=_label(conditions) or None)
-            best = problem.front()
-            axes.plot(
-                [r.run_s * 1e3 for r in best], [max(r.error, floor) for r in best], color=colour
-            )
-            for row, place in zip(problem.rows, zip(x, y, strict=True), strict=True):
-                text = " ".join(_text(row.settings[n]) for n in on_points if n in row.settings)
-                axes.annotate(
-                    text, place, xytext=(3, 3), textcoords="offset points", fontsize=6, color=colour
-                )
-        axes.set(xscale="log", yscale="log", xlabel="run time, ms", ylabel="error")
-        axes.set_title(f"{self.study.name}: {self.study.quantity}", fontsize=9, wrap=True)
-        axes.text(
-            0.01, 0.01, "on points: " + ", ".join(on_points), transform=axes.transAxes, fontsize=7
-        )
-        if len(self.problems()) > 1:
-            axes.legend(fontsize=7)
-        if path is not None:
-            kind = Path(path).suffix.lstrip(".").lower()
-            if kind not in ("png", "pdf", "svg"):
-                raise InputError(f"{path}: expected a name ending in .png, .pdf or .svg")
-            with replacing(path) as file:
-                figure.savefig(file, format=kind, dpi=150)
-        return figure
+        return study_output.plot(self, path)
 
     def save_csv(self, path: str | os.PathLike) -> None:
         """Write all rows: settings, then error, bound and costs, empty where unknown."""
-        names = _names(self.rows)
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow([*names, *_COSTS, "note"])
-        for row in self.rows:
-            costs = [getattr(row, name) for name in _COSTS]
-            values = ["" if v is None else v for v in costs]
-            writer.writerow([*(row.settings.get(n, "") for n in names), *values, row.note])
-        with replacing(path) as file:
-            file.write(text.getvalue().encode())
+        study_output.save_csv(self, path)
 
     def _conditions(self, row: Row) -> tuple:
         return tuple(row.settings.get(name) for name in self.study.conditions)
-
-
-_COSTS = ("error", "bound", "compile_s", "run_s", "gradient_s", "flops", "peak_bytes")
 
 
 def study(name: str) -> Study:
@@ -379,48 +308,3 @@ def study(name: str) -> Study:
         raise InputError(f"no study {name!r}; expected one of {', '.join(sorted(NAMES))}")
     module, attribute = NAMES[name].split(":")
     return getattr(import_module(module), attribute)
-
-
-def seconds(value: float | None) -> str:
-    """A time in s, ms or us with three digits; empty for None."""
-    if value is None:
-        return ""
-    for unit, size in (("s", 1.0), ("ms", 1e-3)):
-        if value >= size:
-            return f"{value / size:.3g} {unit}"
-    return f"{value * 1e6:.3g} us"
-
-
-def megabytes(value: float | None) -> str:
-    """A size in MB with two digits; empty for None."""
-    return "" if value is None else f"{value / 1e6:.2g} MB"
-
-
-def as_text(table: Any) -> str:
-    """A rich table as plain text, as wide as it needs."""
-    from rich.console import Console
-
-    console = Console(file=io.StringIO(), width=220, color_system=None)
-    console.print(table)
-    return console.file.getvalue()  # type: ignore[attr-defined]
-
-
-_OPTIONAL: Sequence[tuple[str, Callable[[Row], str]]] = (
-    ("bound", lambda row: "" if row.bound is None else f"{row.bound:.1e}"),
-    ("compile", lambda row: seconds(row.compile_s)),
-    ("gradient", lambda row: seconds(row.gradient_s)),
-    ("memory", lambda row: megabytes(row.peak_bytes)),
-    ("note", lambda row: row.note),
-)
-
-
-def _names(rows: Sequence[Row]) -> list[str]:
-    return list(dict.fromkeys(itertools.chain.from_iterable(row.settings for row in rows)))
-
-
-def _text(value: Value) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _label(settings: dict[str, Value]) -> str:
-    return ", ".join(f"{name} {_text(value)}" for name, value in settings.items())

@@ -593,7 +593,7 @@ def _reflectances():
     for cos in (0.0, 1e-20, 1e-4, 0.5, 1.0):
         edge = cos in (0.0, 1e-20, 1.0)
         for n in (0.67, 1.0 + 2.0**-20, 1.5):
-            smooth = n == 1.5 and not edge or (cos == 0.5 and n == 0.67)
+            smooth = (n == 1.5 and not edge) or (cos == 0.5 and n == 0.67)
             arguments = (np.float64(cos), n)
             yield Hard(
                 "fresnel.dielectric_polarised",

@@ -195,6 +195,7 @@ def test_unusable_options(case, tmp_path, capsys):
         (["accuracy", "--tolerance", "5"], "tolerance must be a relative error"),
         (["bench", "sorting"], "benchmark must be one of"),
         (["bench", "--size", "giant"], "--size must be one of small, full"),
+        (["bench", "-o", "nowhere/bench.csv"], "the folder nowhere does not exist"),
         (["bench", "--repeats", "0"], "--repeats must be at least 1"),
         (["info", "sample:flat", "--key", "x"], "--key"),
     ],

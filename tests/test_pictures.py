@@ -29,7 +29,7 @@ SIGMA = 1.6
 def disc():
     with jax.enable_x64(False):
         scan = samples.compact_disc(jax.random.key(0), shape=(128, 128), pixel=0.1)
-        yield DiffractionBRDF(scan, SIGMA)
+        return DiffractionBRDF(scan, SIGMA)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def cut(disc):
 def mirror():
     with jax.enable_x64(False):
         scan = Heightfield(jnp.zeros((64, 64), jnp.float32), 0.1)
-        yield DiffractionBRDF(scan, SIGMA)
+        return DiffractionBRDF(scan, SIGMA)
 
 
 @pytest.fixture(autouse=True)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import diffopt
-from diffopt import bounds, diffraction_studies, studies
+from diffopt import bounds, studies, study_jobs
 from diffopt.errors import InputError
 from diffopt.kernels import phase
 from diffopt.settings import TaylorSettings
@@ -226,13 +226,13 @@ def test_wavelength_step_matches_the_published_error():
 def test_taylor_rounding_is_an_upper_estimate(phase_argument, centred):
     # Binary heights err alike on every sample; many wavelengths try many arguments.
     total = 2.0 * phase_argument if centred else phase_argument
-    stack = diffraction_studies.hard_and_random(total, 64)
+    stack = study_jobs.hard_and_random(total, 64)
     wave, wavelengths = np.array([[0.0, 0.0, -2.0]]), np.linspace(0.38, 0.40, 100)
     settings = TaylorSettings(phase.taylor_terms(phase_argument, 1e-9), reach=6, centred=centred)
-    run = diffraction_studies.over_stack(0.1, "window", settings)
+    run = study_jobs.over_stack(0.1, "window", settings)
     arguments = [jnp.asarray(a, "float32") for a in (stack, 1.6, wave, wavelengths)]
     got = np.asarray(jax.jit(run)(*arguments), np.float64)
-    expected = diffraction_studies.truth(stack, 0.1, 1.6, "window", wave, wavelengths)
+    expected = study_jobs.truth(stack, 0.1, 1.6, "window", wave, wavelengths)
     eps = float(np.finfo(np.float32).eps)
     estimate = phase.taylor_rounding(phase_argument, eps)
     error = np.abs(got - expected).max()
@@ -243,12 +243,12 @@ def test_taylor_rounding_is_an_upper_estimate(phase_argument, centred):
 
 def test_bound_holds_where_taylor_rounding_passes_one():
     # Beyond 17 the rounding of the amplitude exceeds the mirror's, and its square counts.
-    stack = diffraction_studies.hard_and_random(30.0, 64)
+    stack = study_jobs.hard_and_random(30.0, 64)
     wave, wavelengths = np.array([[0.0, 0.0, -2.0]]), np.linspace(0.38, 0.40, 20)
     settings = TaylorSettings(terms=100, reach=6)
-    run = diffraction_studies.over_stack(0.1, "window", settings)
+    run = study_jobs.over_stack(0.1, "window", settings)
     arguments = [jnp.asarray(a, "float32") for a in (stack, 1.6, wave, wavelengths)]
     got = np.asarray(jax.jit(run)(*arguments), np.float64)
-    surface = diffraction_studies.make_surface(stack[0], 0.1, 1.6, "window")
+    surface = study_jobs.make_surface(stack[0], 0.1, 1.6, "window")
     bound = bounds.error_bound(surface, settings, wave, wavelengths)
     assert 1.0 < np.abs(got).max() < bound

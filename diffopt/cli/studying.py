@@ -1,5 +1,6 @@
 """``diffopt accuracy`` and ``diffopt bench``: what a faster answer costs."""
 
+import contextlib
 import csv
 import io
 from pathlib import Path
@@ -41,19 +42,19 @@ def accuracy(
         checks.tolerance(tolerance)
     names = sorted(studies.NAMES) if name is None else [name]
     chosen = [studies.study(each) for each in names]
-    console = terminal()
     results = []
-    with stages(len(chosen)) as progress:
+    with contextlib.ExitStack() as stack:
+        # First, so that an unusable folder is refused before minutes of work.
+        staging = None if output is None else stack.enter_context(folder(output))
+        progress = stack.enter_context(stages(len(chosen)))
         for study in chosen:
             with progress.stage(study.name) as report:
-                results.append(
-                    study.run(quick=quick, progress=lambda done, of, _, to=report: to(done, of))
-                )
-    if output is not None:
-        with folder(output) as staging:
-            for result in results:
-                result.plot(staging / f"{result.study.name}.png")
-                result.save_csv(staging / f"{result.study.name}.csv")
+                result = study.run(quick, lambda done, of, _, to=report: to(done, of))
+            if staging is not None:
+                result.plot(staging / f"{study.name}.png")
+                result.save_csv(staging / f"{study.name}.csv")
+            results.append(result)
+    console = terminal()
     for result in results:
         console.print(result.table())
         if tolerance is not None:
@@ -79,7 +80,7 @@ def bench(
 
     from diffopt import benchmarks, checks
     from diffopt.cli.errors import user_input
-    from diffopt.cli.progress import terminal
+    from diffopt.cli.progress import stages, terminal
     from diffopt.errors import InputError
     from diffopt.io.files import replacing
 
@@ -88,7 +89,15 @@ def bench(
         raise InputError(f"--repeats must be at least 1; received {repeats}")
     for name in names or []:
         checks.choice("benchmark", name, tuple(benchmarks.NAMES))
-    results = benchmarks.run(names or None, size=size, repeats=repeats)
+    if output is not None and not output.parent.is_dir():
+        raise InputError(f"{output}: the folder {output.parent} does not exist")
+    with stages(1) as progress, progress.stage("benchmarks") as report:
+        results = benchmarks.run(
+            names or None,
+            size=size,
+            repeats=repeats,
+            progress=lambda done, of, _: report(done, of),
+        )
     table = Table()
     for title in COLUMNS:
         table.add_column(title, justify="left" if title in ("name", "note") else "right")

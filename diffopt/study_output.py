@@ -1,0 +1,139 @@
+"""Tables, plots and files of study results, see `diffopt.studies.StudyResult`."""
+
+import csv
+import io
+import itertools
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from diffopt.errors import InputError
+from diffopt.io.files import replacing
+
+_COSTS = ("error", "bound", "compile_s", "run_s", "gradient_s", "flops", "peak_bytes")
+
+
+def table(result: Any) -> Any:
+    """A `rich.table.Table` of all rows; those of the front carry a star."""
+    from rich.table import Table
+
+    front = set(map(id, result.front()))
+    names = _names(result.rows)
+    optional = [c for c in _OPTIONAL if any(c[1](row) for row in result.rows)]
+    found = Table(
+        title=f"{result.study.name}: {result.study.quantity}",
+        caption=f"Reference: {result.study.reference}. * on the front of error against run time.",
+    )
+    for name in [*names, "error", "run", "", *(title for title, _ in optional)]:
+        found.add_column(name, justify="left" if name in names else "right")
+    for row in result.rows:
+        found.add_row(
+            *(_text(row.settings.get(name, "")) for name in names),
+            f"{row.error:.1e}",
+            seconds(row.run_s),
+            "*" if id(row) in front else "",
+            *(show(row) for _, show in optional),
+        )
+    return found
+
+
+def plot(result: Any, path: str | os.PathLike | None) -> Any:
+    """Error against run time; see `diffopt.studies.StudyResult.plot`."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 6.0), layout="constrained")
+    axes = figure.add_subplot()
+    varying = [n for n in _names(result.rows) if len({r.settings.get(n) for r in result.rows}) > 1]
+    on_points = [n for n in varying if n not in result.study.conditions] or varying
+    floor = min((r.error for r in result.rows if r.error > 0), default=1e-17)
+    for index, problem in enumerate(result.problems()):
+        colour = f"C{index % 10}"
+        conditions = {
+            n: problem.rows[0].settings[n] for n in result.study.conditions if n in varying
+        }
+        # An error of exactly 0 stands at the smallest of the others.
+        x = [row.run_s * 1e3 for row in problem.rows]
+        y = [max(row.error, floor) for row in problem.rows]
+        axes.plot(x, y, "o", ms=4, color=colour, label=label(conditions) or None)
+        best = problem.front()
+        axes.plot([r.run_s * 1e3 for r in best], [max(r.error, floor) for r in best], color=colour)
+        for row, place in zip(problem.rows, zip(x, y, strict=True), strict=True):
+            text = " ".join(_text(row.settings[n]) for n in on_points if n in row.settings)
+            axes.annotate(
+                text, place, xytext=(3, 3), textcoords="offset points", fontsize=6, color=colour
+            )
+    axes.set(xscale="log", yscale="log", xlabel="run time, ms", ylabel="error")
+    axes.set_title(f"{result.study.name}: {result.study.quantity}", fontsize=9, wrap=True)
+    axes.text(
+        0.01, 0.01, "on points: " + ", ".join(on_points), transform=axes.transAxes, fontsize=7
+    )
+    if len(result.problems()) > 1:
+        axes.legend(fontsize=7)
+    if path is not None:
+        kind = Path(path).suffix.lstrip(".").lower()
+        if kind not in ("png", "pdf", "svg"):
+            raise InputError(f"{path}: expected a name ending in .png, .pdf or .svg")
+        with replacing(path) as file:
+            figure.savefig(file, format=kind, dpi=150)
+    return figure
+
+
+def save_csv(result: Any, path: str | os.PathLike) -> None:
+    """Write all rows: settings, then error, bound and costs, empty where unknown."""
+    names = _names(result.rows)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([*names, *_COSTS, "note"])
+    for row in result.rows:
+        costs = [getattr(row, name) for name in _COSTS]
+        values = ["" if v is None else v for v in costs]
+        writer.writerow([*(row.settings.get(n, "") for n in names), *values, row.note])
+    with replacing(path) as file:
+        file.write(text.getvalue().encode())
+
+
+def seconds(value: float | None) -> str:
+    """A time in s, ms or us with three digits; empty for None."""
+    if value is None:
+        return ""
+    for unit, size in (("s", 1.0), ("ms", 1e-3)):
+        if value >= size:
+            return f"{value / size:.3g} {unit}"
+    return f"{value * 1e6:.3g} us"
+
+
+def megabytes(value: float | None) -> str:
+    """A size in MB with two digits; empty for None."""
+    return "" if value is None else f"{value / 1e6:.2g} MB"
+
+
+def as_text(table: Any) -> str:
+    """A rich table as plain text, as wide as it needs."""
+    from rich.console import Console
+
+    console = Console(file=io.StringIO(), width=220, color_system=None)
+    console.print(table)
+    return console.file.getvalue()  # type: ignore[attr-defined]
+
+
+_OPTIONAL: Sequence[tuple[str, Callable[[Any], str]]] = (
+    ("bound", lambda row: "" if row.bound is None else f"{row.bound:.1e}"),
+    ("compile", lambda row: seconds(row.compile_s)),
+    ("gradient", lambda row: seconds(row.gradient_s)),
+    ("memory", lambda row: megabytes(row.peak_bytes)),
+    ("note", lambda row: row.note),
+)
+
+
+def _names(rows: Sequence[Any]) -> list[str]:
+    return list(dict.fromkeys(itertools.chain.from_iterable(row.settings for row in rows)))
+
+
+def _text(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def label(settings: dict[str, Any]) -> str:
+    """Names and values, for people."""
+    return ", ".join(f"{name} {_text(value)}" for name, value in settings.items())
