@@ -23,6 +23,8 @@
 `benchmarks`           cost of what runs often; `diffraction_benchmarks`
 `fresnel`              reflectance of mirrors, glasses and metals
 `colour`               spectra to XYZ to sRGB
+`shapes`, `views`      curved surfaces and their pictures, drawn by `pictures`
+`cli`                  the command line
 =====================  ==========================================================
 """
 

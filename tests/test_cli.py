@@ -110,6 +110,7 @@ def test_numbers_are_those_of_the_model(finished, scan_file):
     assert data["xyz_hemisphere"].shape == (24, 24, 3)
 
 
+@pytest.mark.slow
 def test_summary_is_printed(scan_file, tmp_path, capsys):
     words = ["--average", "window", "--dtype", "float64", "--size", "16", "--coherence", "4"]
     words += ["--illuminant", "A", "--balance", "peak", "--method", "direct", "--level", "none"]
