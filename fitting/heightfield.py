@@ -70,7 +70,8 @@ class Measured(eqx.Module):
         What the values are: ``spectral`` (f) or ``relative``.
     noise
         Standard deviation of each value up to a common factor, [M, L]; the same for all if
-        left out.
+        left out. Give it where noise grows with the value, or standard errors come out
+        several times too small.
 
     Raises
     ------
@@ -144,7 +145,8 @@ class HeightfieldFit(eqx.Module):
         The fitted grating.
     errors
         Standard errors of the free parameters by name, from the Jacobian at the solution
-        and the scatter of the residuals; infinite where the data do not hold a parameter.
+        and the scatter of the residuals; infinite, or huge by rounding, where the data do
+        not hold a parameter.
     residual
         Norm of the residuals over that of the values, both over the noise.
     steps
@@ -175,6 +177,7 @@ class HeightfieldFit(eqx.Module):
         )
 
 
+@eqx.filter_jit
 def grating_brdf(
     grating: Grating,
     wi: Float[Array, "M 3"],
@@ -250,7 +253,9 @@ def fit_heightfield(
     Every stage is a Levenberg-Marquardt solve. The last one compares values with the model as
     they are; the ones before compare both after the same Gaussian blur over f, as wide as that
     of a coherence window that grows from a fifth of the start's period to the measured one.
-    Lines far from their place overlap under a short window and pull the period towards it.
+    Lines far from their place overlap under a short window and pull the period towards it. That
+    needs directions as dense as lines are wide, steps in u of wavelength / (2 pi sigma_s) or less;
+    with coarser ones, or few values, give several starts.
 
     Optimistix has no bounds, so unbounded y stand for the parameters: a length is
     start * exp(log(r) tanh(y)), which keeps its sign and stays within the factor r of its start
@@ -279,7 +284,9 @@ def fit_heightfield(
         Of each stage. A fit that needs more is returned, with a `message` that says so.
     orders
         See `grating_brdf`; by default enough for three times the period of the start. Needed
-        where the start or the coherence is traced by a caller's jit or vmap.
+        where the start or the coherence is traced by a caller's jit or vmap. Vmap over single
+        starts or data; over a list of starts (a vmap in a vmap) the compiled program has been
+        seen to crash on CPUs.
 
     Raises
     ------
@@ -333,11 +340,14 @@ def _fit(measured, starts, fresnel, *, names, stages, tolerance, max_steps, orde
         )
         return ((value - measured.values) * weight).reshape(-1)
 
+    # The solver's step size has JAX's default type, and its linear solves take no other: with
+    # 64-bit types on, a float32 model is evaluated in float32 and stepped in float64.
+    wide = jnp.result_type(float)
     solver = optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance)
 
     def solve(function, y):
         done = optx.least_squares(
-            lambda y, _: function(y), solver, y, max_steps=max_steps, throw=False
+            lambda y, _: function(y).astype(wide), solver, y, max_steps=max_steps, throw=False
         )
         # A stage that failed hands on where it began.
         y = jax.tree.map(lambda new, old: jnp.where(jnp.isfinite(new), new, old), done.value, y)
@@ -352,9 +362,9 @@ def _fit(measured, starts, fresnel, *, names, stages, tolerance, max_steps, orde
             y, steps, _ = solve(lambda y: jnp.matmul(blur, at(y), precision="highest"), y)
             return y, steps
 
-        y, steps = jnp.zeros(len(names), start.period.dtype), jnp.zeros((), int)
+        y, steps = jnp.zeros(len(names), wide), jnp.zeros((), int)
         if stages:
-            share = jnp.arange(stages, dtype=y.dtype) / stages
+            share = jnp.arange(stages, dtype=start.period.dtype) / stages
             coarsest = jnp.minimum(_COARSEST * start.period, measured.coherence)
             windows = coarsest ** (1.0 - share) * measured.coherence**share
             y, counts = jax.lax.scan(stage, y, windows)
@@ -383,6 +393,7 @@ def _model(start, names, y):
     values = []
     for name, step in zip(names, y, strict=True):
         value = getattr(start, name)
+        step = step.astype(value.dtype)
         if name == "duty":
             values.append(jax.nn.sigmoid(jnp.log(value) - jnp.log1p(-value) + step))
         else:

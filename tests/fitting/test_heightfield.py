@@ -31,7 +31,7 @@ def scalars(kind, *values, dtype="float64"):
     return kind(*(jnp.asarray(v, dtype) for v in values))
 
 
-def brdf(grating, **options):
+def brdf(grating, sigma=SIGMA, **options):
     dtype = grating.period.dtype
     wi = jnp.broadcast_to(jnp.asarray(WI, dtype), WO.shape)
     return fitting.grating_brdf(
@@ -39,18 +39,23 @@ def brdf(grating, **options):
         wi,
         jnp.asarray(WO, dtype),
         jnp.asarray(WAVELENGTHS, dtype),
-        jnp.asarray(SIGMA, dtype),
-        orders=orders_needed(2 * float(grating.period), SIGMA),
+        jnp.asarray(sigma, dtype),
+        orders=orders_needed(2 * float(grating.period), sigma),
         **options,
     )
 
 
-def measured(grating, share=0.0, seed=0):
+def measured(grating, share=0.0, sigma=SIGMA):
     """Data with additive noise of a share of the largest value."""
-    values = np.asarray(brdf(grating))
-    noise = np.random.default_rng(seed).normal(size=values.shape)
+    values = np.asarray(brdf(grating, sigma))
+    noise = np.random.default_rng(0).normal(size=values.shape)
     values = (values + share * values.max() * noise).astype(values.dtype)
-    return fitting.Measured(WI, WO, WAVELENGTHS, values, SIGMA)
+    return fitting.Measured(WI, WO, WAVELENGTHS, values, sigma)
+
+
+def fit_heightfield(data, start, **options):
+    """With one number of orders, so that fits share their compiled programs."""
+    return fitting.fit_heightfield(data, start, **{"orders": 3, **options})
 
 
 class TestForwardModel:
@@ -71,7 +76,8 @@ class TestForwardModel:
         # Half of them in the plane across the lines, where the orders are.
         wi[:10], wo[:10] = WI, WO[5:55:5]
         fresnel = Schlick(0.04)
-        scan = grating.heightfield((8, 1024), (1.0, 2.0 / 256))
+        # 0.125 um along the lines keep the copies of the spectrum, 8 per um apart, out of reach.
+        scan = grating.heightfield((64, 1024), (0.125, 2.0 / 256))
         model = do.DiffractionBRDF(scan, SIGMA, fresnel=fresnel)
         evaluate = model.relative if quantity == "relative" else model
         expected = evaluate(wi, wo, WAVELENGTHS)
@@ -121,31 +127,28 @@ class TestRecovery:
     def test_blazed_from_far_starts(self, dtype):
         """One program, vmapped over single fits by the caller."""
         truth = scalars(Blazed, 2.0, 0.15, dtype=dtype)
-        data = measured(truth)
+        # Lines of 0.03 in u: from half of these starts they miss each other.
+        data = measured(truth, sigma=3.0)
         starts = jax.vmap(Blazed)(
             *(jnp.asarray([s[i] * v for s in STARTS], dtype) for i, v in ((0, 2.0), (1, 0.15)))
         )
-        fits = eqx.filter_jit(
-            eqx.filter_vmap(lambda start: fitting.fit_heightfield(data, start, orders=3))
-        )(starts)
+        fits = eqx.filter_jit(eqx.filter_vmap(lambda start: fit_heightfield(data, start)))(starts)
         assert fits.model.period.dtype == dtype
         # The solver's tolerance is the root of the rounding unit, 3e-4 and 1.5e-8.
         tolerance = {"float32": 1e-3, "float64": 1e-6}[dtype]
         right = (jnp.abs(fits.model.period / 2.0 - 1) < tolerance) & (
             jnp.abs(fits.model.depth / 0.15 - 1) < tolerance
         )
-        # Measured: all of these; a start at twice the depth ends in another minimum.
-        assert int(right.sum()) >= len(STARTS) - 1
-        alone = eqx.filter_vmap(
-            lambda start: fitting.fit_heightfield(data, start, stages=0, orders=3)
-        )(starts)
-        assert int((jnp.abs(alone.model.period / 2.0 - 1) < tolerance).sum()) < int(right.sum())
+        assert bool(right.all())
+        # The coarse stages are what finds it.
+        alone = eqx.filter_vmap(lambda start: fit_heightfield(data, start, stages=0))(starts)
+        assert int((jnp.abs(alone.model.period / 2.0 - 1) < tolerance).sum()) < 9
 
     @pytest.mark.parametrize("factors", [(0.7, 1.6), (1.5, 2.0)])
     def test_several_starts_find_what_one_misses(self, factors):
         truth = Blazed(2.0, 0.15)
         start = [Blazed(2.0 * factors[0], 0.15 * factors[1] * f) for f in (0.3, 0.5, 0.7, 1.0)]
-        fit = fitting.fit_heightfield(measured(truth), start)
+        fit = fit_heightfield(measured(truth), start)
         assert float(fit.model.period) == pytest.approx(2.0, rel=1e-6)
         assert float(fit.model.depth) == pytest.approx(0.15, rel=1e-6)
         assert float(fit.residual) < 1e-6
@@ -154,7 +157,7 @@ class TestRecovery:
 
     @pytest.mark.parametrize("start", [(0.7, 0.4), (1.5, 1.5)])
     def test_sinusoid(self, start):
-        fit = fitting.fit_heightfield(
+        fit = fit_heightfield(
             measured(Sinusoidal(2.0, 0.1)), Sinusoidal(2.0 * start[0], 0.1 * start[1], 0.3)
         )
         assert float(fit.model.period) == pytest.approx(2.0, rel=1e-6)
@@ -164,13 +167,11 @@ class TestRecovery:
 
     def test_binary_with_its_duty(self):
         truth = Binary(2.0, 0.08, 0.3)
-        fit = fitting.fit_heightfield(measured(truth), Binary(1.8, 0.1, 0.4))
+        fit = fit_heightfield(measured(truth), Binary(1.8, 0.1, 0.4))
         for name in ("period", "depth", "duty"):
             expected = float(getattr(truth, name))
             assert float(getattr(fit.model, name)) == pytest.approx(expected, rel=1e-6)
-        held = fitting.fit_heightfield(
-            measured(truth), Binary(1.8, 0.1, 0.3), free=("period", "depth")
-        )
+        held = fit_heightfield(measured(truth), Binary(1.8, 0.1, 0.3), free=("period", "depth"))
         assert set(held.errors) == {"period", "depth"}
         assert float(held.model.duty) == 0.3
 
@@ -178,11 +179,11 @@ class TestRecovery:
         truth, fresnel = Blazed(2.0, 0.15), Schlick(0.04)
         values = brdf(truth, fresnel=fresnel, quantity="relative")
         data = fitting.Measured(WI, WO, WAVELENGTHS, values, SIGMA, quantity="relative")
-        fit = fitting.fit_heightfield(data, Blazed(1.8, 0.12), fresnel=fresnel)
+        fit = fit_heightfield(data, Blazed(1.8, 0.12), fresnel=fresnel)
         assert float(fit.model.depth) == pytest.approx(0.15, rel=1e-6)
 
     def test_a_negative_depth_keeps_its_sign(self):
-        fit = fitting.fit_heightfield(measured(Blazed(2.0, -0.15)), Blazed(1.8, -0.12))
+        fit = fit_heightfield(measured(Blazed(2.0, -0.15)), Blazed(1.8, -0.12))
         assert float(fit.model.depth) == pytest.approx(-0.15, rel=1e-6)
 
 
@@ -197,7 +198,7 @@ class TestErrors:
         def fit(values):
             data = eqx.tree_at(lambda m: m.values, clean, values)
             start = scalars(Blazed, 2.1, 0.14)
-            return fitting.fit_heightfield(data, start, stages=0, orders=3)
+            return fit_heightfield(data, start, stages=0)
 
         fits = eqx.filter_jit(eqx.filter_vmap(fit))(values)
         for name, true in (("period", 2.0), ("depth", 0.15)):
@@ -216,21 +217,19 @@ class TestErrors:
         start = Blazed(1.9, 0.14)
         spoilt = fitting.Measured(WI, WO, WAVELENGTHS, values, SIGMA)
         weighed = fitting.Measured(WI, WO, WAVELENGTHS, values, SIGMA, noise=noise)
-        assert abs(float(fitting.fit_heightfield(spoilt, start).model.depth) / 0.15 - 1) > 1e-4
+        assert abs(float(fit_heightfield(spoilt, start).model.depth) / 0.15 - 1) > 1e-4
         # The outliers still weigh 1e-12 of the others.
-        fit = fitting.fit_heightfield(weighed, start)
+        fit = fit_heightfield(weighed, start)
         assert float(fit.model.depth) == pytest.approx(0.15, rel=1e-6)
 
     def test_what_the_data_do_not_hold_has_an_infinite_error(self):
         # Duty 1/2: no order depends on it to first order.
-        fit = fitting.fit_heightfield(measured(Binary(2.0, 0.08)), Binary(1.95, 0.09, 0.5))
-        assert float(fit.errors["duty"]) > 1e3
-        assert float(fit.errors["period"]) < 1e-3
+        fit = fit_heightfield(measured(Binary(2.0, 0.08), 0.02), Binary(1.95, 0.09, 0.5))
+        assert float(fit.errors["duty"]) > 1e6
+        assert float(fit.errors["period"]) < 1e-2
 
     def test_too_few_steps_are_reported(self):
-        fit = fitting.fit_heightfield(
-            measured(Blazed(2.0, 0.15)), Blazed(1.7, 0.12), stages=0, max_steps=2
-        )
+        fit = fit_heightfield(measured(Blazed(2.0, 0.15)), Blazed(1.7, 0.12), stages=0, max_steps=2)
         assert "maximum number of steps" in fit.message
 
 
@@ -240,7 +239,7 @@ def test_a_loop_of_fits_compiles_once():
     @eqx.filter_jit
     @eqx.debug.assert_max_traces(max_traces=1)
     def fit(data, start):
-        return fitting.fit_heightfield(data, start, orders=3)
+        return fit_heightfield(data, start)
 
     for period in (1.8, 2.0, 2.2):
         result = fit(data, scalars(Blazed, period, 0.14))
@@ -270,7 +269,6 @@ class TestRefusals:
             ({"coherence": 0.0}, "coherence must be one length > 0; received 0"),
             ({"wavelengths": 1000 * WAVELENGTHS}, "nanometres"),
             ({"noise": 0 * values}, "noise must be positive"),
-            ({"quantity": "xyz"}, "quantity must be one of spectral, relative"),
         )
         good = {
             "wi": WI,
@@ -309,16 +307,15 @@ class TestRefusals:
         )
         for start, options, text in cases:
             with pytest.raises(InputError, match=text):
-                fitting.fit_heightfield(data, start, **options)
+                fit_heightfield(data, start, **options)
 
     def test_amounts(self):
         few = fitting.Measured(WI, WO[:1], [0.5], [[1.0]], SIGMA)
         with pytest.raises(InputError, match="outnumber the 2 free parameters; received 1"):
-            fitting.fit_heightfield(few, Blazed(2.0, 0.1))
+            fit_heightfield(few, Blazed(2.0, 0.1))
         many = fitting.Measured(WI, WO, np.linspace(0.4, 0.7, 200), np.ones((61, 200)), SIGMA)
         with pytest.raises(InputError, match="coarse stages take 8192 values at most"):
-            fitting.fit_heightfield(many, Blazed(2.0, 0.1))
-        with pytest.raises(Exception, match="orders must be given"):
-            jax.jit(lambda p: fitting.fit_heightfield(measured(Blazed(2.0, 0.1)), Blazed(p, 0.1)))(
-                jnp.asarray(2.0)
-            )
+            fit_heightfield(many, Blazed(2.0, 0.1))
+        data = measured(Blazed(2.0, 0.1))
+        with pytest.raises(InputError, match="orders must be given"):
+            jax.jit(lambda p: fitting.fit_heightfield(data, Blazed(p, 0.1)))(jnp.asarray(2.0))
