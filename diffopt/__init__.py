@@ -3,10 +3,12 @@
 =====================  ==========================================================
 `heightfield`          a scan with its pixel: loading, conditioning, saving
 `conditioning`         levelling, filling, cropping, resampling, rotating
+`loading`              file to heights and provenance, for `heightfield`
 `statistics`           roughness, slope, spectrum, dominant period
 `sampling`             is the pixel fine enough for a wavelength and an angle
 `io`                   readers and writers of the file formats
 `samples`              embedded surfaces, made by code
+`random_fields`        periodic random fields, for `samples`
 `discs`                run lengths and pits of a compact disc
 `gratings`             sinusoidal, blazed and binary gratings with closed forms
 `diffraction`          the diffraction BRDF of a heightfield, and its reference sum
@@ -23,6 +25,9 @@
 `benchmarks`           cost of what runs often; `diffraction_benchmarks`
 `fresnel`              reflectance of mirrors, glasses and metals
 `colour`               spectra to XYZ to sRGB
+`illuminants`          illuminants, the observer, weights from spectra to XYZ
+`bands`                three bands in place of the matching functions
+`tones`                gamut, exposure and tone curve for a display
 `shapes`, `views`      curved surfaces and their pictures, drawn by `pictures`
 `cli`                  the command line
 =====================  ==========================================================

@@ -6,6 +6,7 @@ lower bound of its largest value (a few of its pairs, evaluated), so that the ch
 settings never exceed it; costs come from a model calibrated by the benchmarks.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import equinox as eqx
@@ -218,7 +219,7 @@ def prepare(
         )
     usable = [c for c in found if c.refused is None]
     if not usable:
-        raise InputError("; ".join(f"method {c.method!r}: {c.refused}" for c in found))
+        raise InputError(_reasons(found))
     best = min(usable, key=lambda c: c.total_s)
     assert best.settings is not None
     choice = Choice(
@@ -342,6 +343,17 @@ def _candidate(brdf, name, wave, lam, count, allowed, tolerance) -> Candidate:
 
 def _advice(dtype) -> str:
     return "; use float64 heights" if dtype == jnp.float32 else ""
+
+
+def _reasons(found: Sequence[Candidate]) -> str:
+    """Why each method is out, the same reason once for all that share it."""
+    methods: dict[str | None, list[str]] = {}
+    for candidate in found:
+        methods.setdefault(candidate.refused, []).append(repr(candidate.method))
+    return "; ".join(
+        f"{'method' if len(names) == 1 else 'methods'} {', '.join(names)}: {why}"
+        for why, names in methods.items()
+    )
 
 
 def _refused(candidate: Candidate, why: str) -> Candidate:

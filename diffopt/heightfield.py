@@ -1,6 +1,5 @@
 """The heightfield: heights on a grid, with units and history."""
 
-import dataclasses
 import math
 import os
 from typing import Any
@@ -11,46 +10,13 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from diffopt import conditioning
+from diffopt import conditioning, loading
 from diffopt.errors import InputError
-from diffopt.io.record import Options, pair
+from diffopt.io.record import pair
+from diffopt.loading import Number as Number
+from diffopt.loading import Provenance as Provenance
 from diffopt.sampling import check_sampling
 from diffopt.statistics import SurfaceStatistics, surface_statistics
-
-Number = float | int
-
-# A load that would leave float32 steps coarser than this share of peak-to-valley, because
-# of a large common offset, takes the offset out first.
-_OFFSET_SHARE = 1e-4
-
-
-@dataclasses.dataclass(frozen=True)
-class Provenance:
-    """Where heights come from and what was done to them.
-
-    Attributes
-    ----------
-    source
-        File name or name of the generator.
-    channel
-        Channel of the file, where it has several.
-    steps
-        What was done, in order, in words.
-    notes
-        Remarks of the reader, as quantisation.
-    filled
-        Number of missing pixels that were filled.
-    """
-
-    source: str = "array"
-    channel: str | None = None
-    steps: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    filled: int = 0
-
-    def then(self, step: str, filled: int = 0) -> "Provenance":
-        """The same with one more step."""
-        return dataclasses.replace(self, steps=(*self.steps, step), filled=self.filled + filled)
 
 
 class Heightfield(eqx.Module):
@@ -112,7 +78,7 @@ class Heightfield(eqx.Module):
         if bool(jnp.isinf(heights).any()):
             raise InputError("heights: expected finite numbers, received infinity")
         if missing == "fill":
-            whole = _filled(self)
+            whole = self.filled()
             self.heights, self.provenance = whole.heights, whole.provenance
         elif missing == "refuse":
             self.require_complete()
@@ -164,34 +130,23 @@ class Heightfield(eqx.Module):
         InputError
             If the file cannot be used; the text names it and says what was expected.
         """
-        from diffopt.io import read
-
-        record = read(
+        record, provenance = loading.load(
             path,
-            Options(
-                pixel_size=None if pixel_size is None else pair(pixel_size, "pixel_size"),
-                height_range=_range(height_range),
-                height_unit=height_unit,
-                lateral_unit=lateral_unit,
-                channel=channel,
-                format=format,
-            ),
+            pixel_size=pixel_size,
+            height_range=height_range,
+            height_unit=height_unit,
+            lateral_unit=lateral_unit,
+            channel=channel,
+            format=format,
         )
-        heights, notes = _without_coarse_offset(record.heights, record.notes)
-        source = os.path.basename(os.fspath(path))
-        provenance = Provenance(source, record.channel, record.steps, notes)
-        scan = cls(
-            jnp.asarray(heights, jnp.result_type(float)),
-            record.pixel,
-            provenance=provenance,
-            missing="keep",
-        )
-        if missing == "refuse" and scan.missing:
+        absent = int(np.isnan(record.heights).sum())
+        if missing == "refuse" and absent:
             raise InputError(
-                f"{path}: {scan.missing} of {scan.heights.size} pixels are missing; pass "
+                f"{path}: {absent} of {record.heights.size} pixels are missing; pass "
                 "missing='fill' to fill them, or 'keep' to level first and call .filled()"
             )
-        return cls(scan.heights, scan.pixel, provenance=provenance, missing=missing)
+        heights = jnp.asarray(record.heights, jnp.result_type(float))
+        return cls(heights, record.pixel, provenance=provenance, missing=missing)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -243,16 +198,13 @@ class Heightfield(eqx.Module):
         InputError
             If ``by`` or ``order`` is out of range, or too few pixels are valid.
         """
+        degrees = {"plane": 1, "polynomial": 2, "line": 0}
+        if by not in degrees:
+            raise InputError(f"by={by!r}: expected 'plane', 'polynomial' or 'line'")
+        order = degrees[by] if order is None else order
         if by == "line":
-            order = 0 if order is None else order
             heights = conditioning.level_lines(self.heights, order)
             return self._with(heights, f"each scan line levelled, order {order}")
-        if by == "plane":
-            order = 1 if order is None else order
-        elif by == "polynomial":
-            order = 2 if order is None else order
-        else:
-            raise InputError(f"by={by!r}: expected 'plane', 'polynomial' or 'line'")
         heights = conditioning.level(self.heights, order)
         return self._with(heights, f"levelled by a polynomial of degree {order}")
 
@@ -269,7 +221,15 @@ class Heightfield(eqx.Module):
         InputError
             If more than ``most`` of the pixels are missing.
         """
-        return _filled(self, most)
+        if not (count := self.missing):
+            return self
+        share = 100 * count / self.heights.size
+        step = f"filled {count} missing pixels ({share:.2g} %)"
+        return Heightfield(
+            conditioning.fill(self.heights, most),
+            self.pixel,
+            provenance=self.provenance.then(step, count),
+        )
 
     def cropped(
         self,
@@ -437,38 +397,3 @@ class Heightfield(eqx.Module):
             provenance=self.provenance.then(step),
             missing="keep",
         )
-
-
-def _filled(scan: Heightfield, most: float = 0.2) -> Heightfield:
-    count = scan.missing
-    if not count:
-        return scan
-    share = 100 * count / scan.heights.size
-    return Heightfield(
-        conditioning.fill(scan.heights, most),
-        scan.pixel,
-        provenance=scan.provenance.then(f"filled {count} missing pixels ({share:.2g} %)", count),
-    )
-
-
-def _range(value: Number | tuple[Number, Number] | None) -> tuple[float, float] | None:
-    if value is None:
-        return None
-    low, high = (float(v) for v in (value if isinstance(value, tuple) else (0.0, value)))
-    if not (math.isfinite(low) and math.isfinite(high) and high > low):
-        raise InputError(f"height_range={value!r}: expected (low, high) in micrometres, low < high")
-    return low, high
-
-
-def _without_coarse_offset(
-    heights: np.ndarray, notes: tuple[str, ...]
-) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Take out a common offset that would cost float32 its resolution."""
-    if jnp.result_type(float) != jnp.float32:
-        return heights, notes
-    peak_to_valley = np.nanmax(heights) - np.nanmin(heights)
-    step = float(np.spacing(np.float32(np.nanmax(np.abs(heights)))))
-    if peak_to_valley == 0 or step <= _OFFSET_SHARE * peak_to_valley:
-        return heights, notes
-    offset = float(np.nanmean(heights))
-    return heights - offset, (*notes, f"offset of {offset:.9g} um taken out for float32")

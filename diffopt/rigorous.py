@@ -73,7 +73,7 @@ def sinusoid(
     height, fall = amplitude * np.cos(points), -amplitude * grating * np.sin(points)
     project = np.exp(-1j * np.outer(orders, points)) / len(points)
     # Scaling each column by its largest value keeps evanescent orders from overflowing.
-    scale = np.exp(-np.abs(beta.imag) * abs(amplitude))
+    scale = np.exp(-np.abs(np.imag(beta)) * abs(amplitude))
     waves = scale * np.exp(1j * (np.outer(points, orders) + np.outer(height, beta)))
     down = np.exp(-1j * incident * height)
     slopes = 1j * (beta[None, :] - fall[:, None] * alpha[None, :])
@@ -85,5 +85,5 @@ def sinusoid(
     found = {}
     for name, (field, source) in systems.items():
         reflected = np.linalg.lstsq(project @ field, project @ source, rcond=None)[0] * scale
-        found[name] = (np.abs(reflected) ** 2 * beta.real / incident)[real]
+        found[name] = (np.abs(reflected) ** 2 * np.real(beta) / incident)[real]
     return Efficiencies(orders[real], found["te"], found["tm"])

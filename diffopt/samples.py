@@ -4,7 +4,6 @@ All of them repeat periodically in x and y unless their text says otherwise, and
 `Heightfield` objects in micrometres. `make` builds one by name.
 """
 
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -17,6 +16,7 @@ from diffopt import discs, gratings
 from diffopt.errors import InputError
 from diffopt.heightfield import Heightfield, Number, Provenance
 from diffopt.io.record import pair
+from diffopt.random_fields import gaussian_field, periodic_gaussians
 
 Key = Any
 Pixel = Number | tuple[Number, Number]
@@ -195,8 +195,8 @@ def random_bumps(
     key_count, key_place = jax.random.split(key)
     count = int(jax.random.poisson(key_count, density * length_y * length_x))
     place = np.asarray(jax.random.uniform(key_place, (count, 2)), dtype=np.float64)
-    along_y = _periodic_gaussians(place[:, 0], ny, dy, sigma_y)
-    along_x = _periodic_gaussians(place[:, 1], nx, dx, sigma_x)
+    along_y = periodic_gaussians(place[:, 0], ny, dy, sigma_y)
+    along_x = periodic_gaussians(place[:, 1], nx, dx, sigma_x)
     heights = jnp.asarray(height * along_y.T @ along_x, _dtype())
     return _heightfield(heights, pixel, "random bumps", f"{count} bumps")
 
@@ -232,7 +232,7 @@ def gaussian_roughness(
         If the correlation length is out of range.
     """
     return _heightfield(
-        rms * _gaussian_field(key, shape, pair(pixel, "pixel"), correlation_length),
+        rms * gaussian_field(key, shape, pair(pixel, "pixel"), correlation_length),
         pixel,
         "gaussian roughness",
         f"rms {rms:g} um, correlation length {correlation_length:g} um",
@@ -285,8 +285,8 @@ def snake_skin(
         )
     key_y, key_x = jax.random.split(key)
     reach = min(float(row_pitch), length_y / 4, length_x / 4)
-    shift_y = disorder * _gaussian_field(key_y, shape, (dy, dx), reach)
-    shift_x = disorder * _gaussian_field(key_x, shape, (dy, dx), reach)
+    shift_y = disorder * gaussian_field(key_y, shape, (dy, dx), reach)
+    shift_x = disorder * gaussian_field(key_x, shape, (dy, dx), reach)
     y = (jnp.arange(ny, dtype=_dtype()) * dy)[:, None]
     x = (jnp.arange(nx, dtype=_dtype()) * dx)[None, :]
     along = 2 * jnp.pi * (rows / length_x * x + shift_x / row_pitch)
@@ -364,42 +364,3 @@ def _whole(shape: tuple[int, int], pixel: Pixel, period: Number, what: str) -> i
 def _between_samples(pixel: Pixel, period: Number) -> float:
     """Shift that puts the jump at x = 0 half a pixel before it, where rounding cannot reach."""
     return -0.5 * pair(pixel, "pixel")[1] / float(period)
-
-
-def _periodic_gaussians(place: np.ndarray, n: int, step: float, sigma: float) -> np.ndarray:
-    """Gaussians [count, n] of maximum 1 about ``place`` (share of the side), wrapped around."""
-    length = n * step
-    offset = (np.arange(n) * step)[None, :] - place[:, None] * length
-    nearest = (offset + length / 2) % length - length / 2
-    # Images more than 9 sigma away add less than 3e-18.
-    images = max(math.ceil(9 * sigma / length - 0.5), 0)
-    shifts = np.arange(-images, images + 1) * length
-    return sum(
-        (np.exp(-(((nearest + shift) / sigma) ** 2) / 2) for shift in shifts),
-        start=np.zeros_like(nearest),
-    )
-
-
-def _gaussian_field(
-    key: Key, shape: tuple[int, int], pixel: tuple[float, float], length: Number
-) -> Array:
-    """Unit-variance periodic Gaussian field with correlation exp(-r^2 / length^2)."""
-    (ny, nx), (dy, dx) = shape, pixel
-    shorter = min(ny * dy, nx * dx)
-    if not 2 * max(dy, dx) <= length <= shorter / 4 * (1 + 1e-9):
-        raise InputError(
-            f"correlation_length={length:g} um: expected two pixels ({2 * max(dy, dx):g} um) to a "
-            f"quarter of the side ({shorter / 4:g} um)"
-        )
-    f2 = np.fft.fftfreq(ny, dy)[:, None] ** 2 + np.fft.rfftfreq(nx, dx)[None, :] ** 2
-    root = np.exp(-0.5 * (math.pi * float(length)) ** 2 * f2)
-    full = np.exp(-((math.pi * float(length)) ** 2) * _full_f2(shape, pixel))
-    root /= math.sqrt(full.mean())
-    noise = jax.random.normal(key, shape, _dtype())
-    spectrum = jnp.fft.rfft2(noise)
-    return jnp.fft.irfft2(spectrum * jnp.asarray(root, spectrum.dtype), shape)
-
-
-def _full_f2(shape: tuple[int, int], pixel: tuple[float, float]) -> np.ndarray:
-    f_y, f_x = (np.fft.fftfreq(n, d) for n, d in zip(shape, pixel, strict=True))
-    return f_y[:, None] ** 2 + f_x[None, :] ** 2

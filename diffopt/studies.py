@@ -27,6 +27,7 @@ NAMES: dict[str, str] = {
     "diffraction.nodes": "diffopt.diffraction_studies:NODES",
     "diffraction.patch": "diffopt.diffraction_studies:PATCH",
     "diffraction.rounding": "diffopt.diffraction_studies:ROUNDING",
+    "diffraction.scalar": "diffopt.validity_studies:SCALAR",
     "diffraction.step": "diffopt.diffraction_studies:STEP",
     "diffraction.terms": "diffopt.diffraction_studies:TERMS",
     "diffraction.window": "diffopt.diffraction_studies:WINDOW",

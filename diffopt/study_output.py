@@ -93,7 +93,7 @@ def save_csv(result: Any, path: str | os.PathLike) -> None:
         file.write(text.getvalue().encode())
 
 
-def seconds(value: float | None) -> str:
+def seconds(value: int | float | None) -> str:
     """A time in s, ms or us with three digits; empty for None."""
     if value is None:
         return ""
@@ -103,7 +103,7 @@ def seconds(value: float | None) -> str:
     return f"{value * 1e6:.3g} us"
 
 
-def megabytes(value: float | None) -> str:
+def megabytes(value: int | float | None) -> str:
     """A size in MB with two digits; empty for None."""
     return "" if value is None else f"{value / 1e6:.2g} MB"
 

@@ -3,7 +3,8 @@
 Inverse problems solved with optimistix.
 
 ==================  ==========================================================
-`heightfield`       a grating's parameters from its measured reflectance
+`measured`          measured reflectance, checked where it comes in
+`heightfield`       a grating's parameters from it
 ==================  ==========================================================
 """
 
@@ -15,6 +16,6 @@ if __name__ != "diffopt.fitting":
     )
 
 from diffopt.fitting.heightfield import HeightfieldFit as HeightfieldFit
-from diffopt.fitting.heightfield import Measured as Measured
 from diffopt.fitting.heightfield import fit_heightfield as fit_heightfield
 from diffopt.fitting.heightfield import grating_brdf as grating_brdf
+from diffopt.fitting.measured import Measured as Measured

@@ -127,7 +127,7 @@ OPTIONS = {
     "unknown method": (["--method", "magic"], "--method must be one of auto, direct"),
     "unknown material": (["--material", "wood"], "material: 'wood' given"),
     "index of one": (["--material", "n=1"], "reflects nothing"),
-    "unknown illuminant": (["--illuminant", "D99"], "received 'D99'"),
+    "unknown illuminant": (["--illuminant", "D99"], "--illuminant: 'D99' given, expected one of"),
     "unknown level": (["--level", "sphere"], "--level must be one of plane"),
     "unknown balance": (["--balance", "warm"], "--balance must be one of radiometric, peak"),
     "unknown average": (["--average", "all"], "--average must be one of positions, window"),
@@ -160,7 +160,6 @@ def check_refusal(words, match, capsys):
         raise InputError(err)
 
 
-@pytest.mark.filterwarnings("ignore:Image size")
 @pytest.mark.parametrize("case", FILES)
 def test_unusable_files(case, tmp_path, capsys):
     name, make, options, match = FILES[case]

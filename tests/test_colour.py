@@ -264,7 +264,7 @@ def test_settings():
     [
         ({"step_nm": 0.0}, "step_nm: 0 given, expected a divisor of 400"),
         ({"step_nm": 7.0}, "step_nm: 7 given, expected a divisor of 400"),
-        ({"illuminant": "D99"}, "illuminant: 'D99' given, expected one of "),
+        ({"illuminant": "D99"}, r"^illuminant: 'D99' given, expected one of D65, [^\n]{,80}$"),
         ({"bands": "two"}, "bands: 'two' given, expected one of full, three"),
         ({"gamut": "wrap"}, "gamut: 'wrap' given"),
         ({"adaptation": "eye"}, "adaptation: 'eye' given"),

@@ -355,6 +355,19 @@ class TestImages:
         with pytest.raises(InputError, match="PNG of mode P"):
             Heightfield.load(path, **options)
 
+    # Pillow itself warns beyond its limit and raises beyond twice the limit: 54 pixels of each.
+    @pytest.mark.parametrize("limit", [53, 27, 26, 10])
+    def test_too_many_pixels_are_refused(self, tmp_path, monkeypatch, limit):
+        path = tmp_path / "scan.png"
+        write_png(path)
+        options = {"pixel_size": 0.1, "height_range": 1.0}
+        monkeypatch.setattr(PIL.Image, "MAX_IMAGE_PIXELS", 54)
+        assert Heightfield.load(path, **options).shape == (6, 9)
+        monkeypatch.setattr(PIL.Image, "MAX_IMAGE_PIXELS", limit)
+        text = rf"scan\.png: 54 pixels \(9 x 6\); expected at most PIL\S+ = {limit} [^\n]*$"
+        with pytest.raises(InputError, match=text):
+            Heightfield.load(path, **options)
+
     def test_float_tiff_has_a_unit_instead_of_a_range(self, tmp_path):
         path = tmp_path / "scan.tiff"
         tifffile.imwrite(path, (HEIGHTS * 1000).astype(np.float32))

@@ -296,11 +296,8 @@ def _illuminant(word: str) -> "Illuminant":
 
     try:
         found = colour.illuminant(word)
-    except ValueError:
-        raise InputError(
-            f"--illuminant must be D65, A, E or another CIE illuminant such as FL2; "
-            f"received {word!r}"
-        ) from None
+    except ValueError as error:
+        raise InputError(f"--{error}") from error
     # Fails here, and not after minutes, where the table is too short.
     colour.spectral_weights(colour.wavelengths(10.0), illuminant=found)
     return found

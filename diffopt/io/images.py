@@ -6,6 +6,8 @@ colour profiles are disregarded. Row 0 is the top row of the picture.
 """
 
 import json
+import struct
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -30,19 +32,31 @@ def read_png(path: Path, options: Options) -> Record:
     Raises
     ------
     InputError
-        If the file is damaged, of another format, or in colour.
+        If the file is damaged, of another format, in colour, or has more pixels than
+        ``PIL.Image.MAX_IMAGE_PIXELS``.
     """
     import PIL.Image
 
     require_signature(path, (b"\x89PNG\r\n\x1a\n",), "a PNG image")
     options.refuse(path, "a PNG image has one channel", "channel")
     options.refuse(path, "grey values have no unit; pass height_range=", "height_unit")
-    if _PNG_END not in path.read_bytes():
+    content = path.read_bytes()
+    if _PNG_END not in content:
         raise InputError(f"{path}: the PNG image is truncated: its end chunk is missing")
     try:
-        with PIL.Image.open(path, formats=["PNG"]) as image:
-            mode = image.mode
-            grey = np.asarray(image)
+        # Pillow warns beyond its limit and raises beyond twice that: here both are refusals.
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", PIL.Image.DecompressionBombWarning)
+            with PIL.Image.open(path, formats=["PNG"]) as image:
+                mode = image.mode
+                grey = np.asarray(image)
+    except (PIL.Image.DecompressionBombWarning, PIL.Image.DecompressionBombError) as error:
+        width, height = struct.unpack(">II", content[16:24])
+        raise InputError(
+            f"{path}: {width * height} pixels ({width} x {height}); expected at most "
+            f"PIL.Image.MAX_IMAGE_PIXELS = {PIL.Image.MAX_IMAGE_PIXELS} (crop or resample the "
+            "picture, or raise the limit if you trust the file)"
+        ) from error
     except (OSError, SyntaxError, ValueError) as error:
         raise InputError(f"{path}: the PNG image is damaged: {one_line(error)}") from error
     if mode in ("RGB", "RGBA"):
