@@ -321,6 +321,7 @@ def _draw_orders(axes: "Axes", sin_in: float, period: float, wavelengths: np.nda
             textcoords="offset points",
             color="cyan",
             fontsize=8,
+            clip_on=True,  # orders that only just enter have no room for their name
         )
 
 

@@ -174,6 +174,18 @@ def test_unusable_files(case, tmp_path, capsys):
     check_refusal(["info", str(path), *options], match, capsys)
 
 
+def test_a_pixel_too_coarse_for_the_hemisphere(tmp_path, capsys):
+    """Refused with the pixel that would do, or drawn with a warning if asked."""
+    path = tmp_path / "scan.npy"
+    np.save(path, HEIGHTS)
+    words = ["diffraction", str(path), "--height-unit", "um", "--pixel-size", "0.3"]
+    target = tmp_path / "out"
+    # 0.38 / (2 (1 + sin 20 degrees)) um
+    match = r"pixel 0.3 um is too coarse .* at most 0.1416 um will do; --allow-coarse goes on"
+    check_refusal([*words, "-o", str(target)], match, capsys)
+    assert not target.exists()
+
+
 @pytest.mark.parametrize("case", OPTIONS)
 def test_unusable_options(case, tmp_path, capsys):
     options, match = OPTIONS[case]

@@ -75,6 +75,10 @@ def command(
         typer.Option(help="float32, float64, or auto: spectra in float64 where they need it."),
     ] = "auto",
     size: Annotated[int, typer.Option(help="Pixels on a side of the pictures.")] = 512,
+    allow_coarse: Annotated[
+        bool,
+        typer.Option("--allow-coarse", help="Go on where the pixel is too coarse for wide angles."),
+    ] = False,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Folder. [default: out/NAME]")
     ] = None,
@@ -96,6 +100,7 @@ def command(
         method=method,
         dtype=dtype,
         size=size,
+        allow_coarse=allow_coarse,
     )
     run(source, options, Path("out") / name(file) if output is None else output)
 

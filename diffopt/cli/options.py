@@ -56,6 +56,7 @@ class Appearance:
     method: str = "auto"
     dtype: str = "auto"
     size: int = 512
+    allow_coarse: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -311,11 +312,17 @@ def _grating(statistics: SurfaceStatistics) -> tuple[float, float] | None:
 
 
 def _sampling(scan: Heightfield, options: Appearance) -> list[str]:
-    """What the pixel is too coarse for, as warnings."""
+    """What the pixel is too coarse for, as warnings; directions that alias are refused."""
     shortest = 0.38
-    reach = abs(math.sin(math.radians(options.incidence))) + 1.0
+    reach = min(abs(math.sin(math.radians(options.incidence))) + 1.0, 2.0)
     try:
-        scan.check_sampling(shortest, u_max=min(reach, 2.0))
+        scan.check_sampling(shortest, u_max=reach, jumps=True)
+    except InputError as error:
+        if not options.allow_coarse:
+            raise InputError(f"{error}; --allow-coarse goes on all the same") from error
+        return [str(error)]
+    try:
+        scan.check_sampling(shortest, u_max=reach)
     except InputError as error:
         return [str(error).replace(", real jumps need jumps=True", " unless they are real jumps")]
     return []
