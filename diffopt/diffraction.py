@@ -249,6 +249,19 @@ class DiffractionBRDF(eqx.Module):
         return 2.0 * math.erfc(ratio / (2.0 * math.sqrt(2.0)))
 
 
+def geometry(
+    wi: Float[Array, "*batch 3"],
+    wo: Float[Array, "*batch 3"],
+    *,
+    prefactor: prefactors.Prefactor,
+    shadowing: Shadowing,
+) -> Float[Array, "*batch"]:
+    """S C of a scalar model: what depends on directions alone, above the horizon."""
+    wave, cos_i, cos_o = frames.wave_vector(wi, wo), wi[..., 2], wo[..., 2]
+    factor = prefactors.geometric_factor(prefactor, wave, cos_i, cos_o)
+    return factor * frames.v_cavity(wave, cos_i, cos_o) if shadowing == "v-cavity" else factor
+
+
 def model_factors(
     fresnel: Reflectance,
     wi: Float[Array, "M 3"],
@@ -274,15 +287,12 @@ def model_factors(
     relative
         Whether for the relative reflectance.
     """
-    wave, cos_i, cos_o = frames.wave_vector(wi, wo), wi[:, 2], wo[:, 2]
-    geometry = prefactors.geometric_factor(prefactor, wave, cos_i, cos_o)
-    if shadowing == "v-cavity":
-        geometry = geometry * frames.v_cavity(wave, cos_i, cos_o)
-    reflectance = fresnel(frames.half_cosine(wave), wavelengths)
+    factor = geometry(wi, wo, prefactor=prefactor, shadowing=shadowing)
+    reflectance = fresnel(frames.half_cosine(frames.wave_vector(wi, wo)), wavelengths)
     if relative:
         normal = fresnel.normal(wavelengths)
-        return reflectance / normal[None, :] * (geometry * cos_i)[:, None]
-    return reflectance * geometry[:, None] / (wavelengths**2)[None, :]
+        return reflectance / normal[None, :] * (factor * wi[:, 2])[:, None]
+    return reflectance * factor[:, None] / (wavelengths**2)[None, :]
 
 
 def factors(

@@ -16,10 +16,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffopt import bounds, colour, methods
-from diffopt.diffraction import DiffractionBRDF
+from diffopt.diffraction import DiffractionBRDF, geometry
 from diffopt.errors import InputError
 from diffopt.kernels import frames, phase
-from diffopt.kernels import prefactor as prefactors
 from diffopt.settings import SeparableSettings
 
 Range = tuple[float, float]
@@ -187,9 +186,6 @@ def shade(
         Unit vectors in the local frame, [..., 3]; 0 where either is below the horizon.
     """
     valid, wi, wo = frames.above_horizon(wi, wo)
-    wave, cos_i, cos_o = frames.wave_vector(wi, wo), wi[..., 2], wo[..., 2]
-    geometry = prefactors.geometric_factor(brdf.surface.prefactor, wave, cos_i, cos_o)
-    if brdf.shadowing == "v-cavity":
-        geometry = geometry * frames.v_cavity(wave, cos_i, cos_o)
-    value = table(wave) * (geometry * cos_i)[..., None]
+    factor = geometry(wi, wo, prefactor=brdf.surface.prefactor, shadowing=brdf.shadowing)
+    value = table(frames.wave_vector(wi, wo)) * (factor * wi[..., 2])[..., None]
     return jnp.where(valid[..., None], value, 0.0)

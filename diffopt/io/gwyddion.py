@@ -32,7 +32,7 @@ def read_gwy(path: Path, options: Options) -> Record:
         import gwyfile
     except ImportError as error:
         raise InputError(
-            f"{path}: reading .gwy needs gwyfile: pip install 'diffopt-optics[gwy]'"
+            f"{path}: reading .gwy needs gwyfile: pip install '.[gwy]' in the checkout"
         ) from error
 
     require_signature(path, (_MAGIC,), "a Gwyddion file (.gwy)")

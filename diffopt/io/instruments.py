@@ -43,7 +43,7 @@ def read_instrument(path: Path, options: Options) -> Record:
         except ImportError as error:
             raise InputError(
                 f"{path}: {describe(path)}; instrument files need SurfaceTopography: "
-                "pip install 'diffopt-optics[afm]'"
+                "pip install '.[afm]' in the checkout"
             ) from error
         # The import itself warns that it runs without MPI, which is meant so.
         caught.clear()
