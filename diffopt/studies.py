@@ -132,6 +132,9 @@ class Study:
     conditions
         Names among the settings that state the problem instead of the approximation: only
         rows with equal conditions compete with each other.
+    against
+        Number among the conditions that the plot is drawn against, where run time does not
+        tell the approximations apart; None: against run time.
     """
 
     name: str
@@ -139,6 +142,7 @@ class Study:
     reference: str
     cases: Callable[[bool], list[Case]]
     conditions: tuple[str, ...] = ()
+    against: str | None = None
 
     def run(
         self, quick: bool = False, progress: Progress | None = None, repeats: int = 5
@@ -285,8 +289,11 @@ class StudyResult:
         Returns
         -------
         matplotlib.figure.Figure
-            With a line along the front of each problem.
+            With a line along the front of each problem; for a study drawn against one of
+            its conditions, a panel for each of the others.
         """
+        if self.study.against is not None:
+            return study_output.plot_against(self, self.study.against, path)
         return study_output.plot(self, path)
 
     def save_csv(self, path: str | os.PathLike) -> None:

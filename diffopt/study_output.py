@@ -70,6 +70,40 @@ def plot(result: Any, path: str | os.PathLike | None) -> Any:
     )
     if len(result.problems()) > 1:
         axes.legend(fontsize=7)
+    return _saved(figure, path)
+
+
+def plot_against(result: Any, name: str, path: str | os.PathLike | None) -> Any:
+    """Error against one condition, a panel for each of the others, a line for each setting."""
+    from matplotlib.figure import Figure
+
+    others = [n for n in result.study.conditions if n != name]
+    panels: dict[str, dict[str, list[tuple[float, float]]]] = {}
+    for row in result.rows:
+        panel = label({n: row.settings[n] for n in others})
+        line = ", ".join(
+            _text(v) for n, v in row.settings.items() if n not in result.study.conditions
+        )
+        points = panels.setdefault(panel, {}).setdefault(line, [])
+        points.append((float(row.settings[name]), max(row.error, 1e-16)))
+    columns = min(3, len(panels))
+    figure = Figure(figsize=(3.2 * columns, 2.8 * -(-len(panels) // columns)), layout="constrained")
+    grid = figure.subplots(-(-len(panels) // columns), columns, sharey=True, squeeze=False)
+    for axes in grid.flat[len(panels) :]:
+        axes.set_axis_off()
+    for axes, (title, lines) in zip(grid.flat, panels.items(), strict=False):
+        for text, points in lines.items():
+            axes.plot(*zip(*sorted(points), strict=True), marker="o", ms=3, lw=1, label=text)
+        axes.set(yscale="log", xlabel=name)
+        axes.set_title(title, fontsize=8)
+    grid[0, 0].legend(fontsize=6)
+    for axes in grid[:, 0]:
+        axes.set_ylabel("error")
+    figure.suptitle(f"{result.study.name}: {result.study.quantity}", fontsize=8, wrap=True)
+    return _saved(figure, path)
+
+
+def _saved(figure: Any, path: str | os.PathLike | None) -> Any:
     if path is not None:
         kind = Path(path).suffix.lstrip(".").lower()
         if kind not in ("png", "pdf", "svg"):

@@ -87,4 +87,5 @@ SCALAR = Study(
     reference="the Rayleigh-Fourier method (diffopt.rigorous)",
     cases=_scalar,
     conditions=("period_wavelengths", "amplitude_wavelengths", "incidence_deg"),
+    against="amplitude_wavelengths",
 )

@@ -6,7 +6,7 @@ import diffopt as do
 
 
 @pytest.mark.slow
-def test_scalar_study_shows_where_the_model_fails():
+def test_scalar_study_shows_where_the_model_fails(tmp_path):
     result = do.study("diffraction.scalar").run(quick=True, repeats=1)
     error = {
         (
@@ -23,5 +23,8 @@ def test_scalar_study_shows_where_the_model_fails():
     assert error[5.1, 0.2, "stam"] < 5e-4
     # Without the square of the half-vector factor the error is tens of times larger.
     assert error[5.1, 0.2, "rghs"] > 5 * error[5.1, 0.2, "stam"]
+    figure = result.plot(tmp_path / "scalar.png")
+    assert [len(axes.lines) for axes in figure.axes] == [2, 2]  # two periods, two models
+    assert (tmp_path / "scalar.png").stat().st_size > 10_000
     deep = next(r for r in result.rows if r.settings["period_wavelengths"] == 2.1)
     assert "polarisations differ by" in deep.note
