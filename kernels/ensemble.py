@@ -49,7 +49,9 @@ def gaussian_roughness(
     the correlation exp(-r^2 / l^2) (Beckmann and Spizzichino 1963, section 5.3; Stam 1999).
     The sum runs over the `terms` values of m that matter, around its largest term; where
     they are more than `terms` it is a trapezoid rule in m, which is exact to rounding for a
-    smooth bell: any g from 0 to 1e8.
+    smooth bell: any g from 0 to 1e8. In float32 the value keeps 1e-4 up to there; the
+    derivative to `rms`, a small difference of large terms, keeps 2e-3 to g = 1e6 and a
+    quarter at 1e8 (rms heights of 44 and 440 micrometres at 550 nm): use float64 there.
 
     Parameters
     ----------

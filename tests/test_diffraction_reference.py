@@ -45,7 +45,9 @@ def test_transform_matches_reference(case, dtype):
     tolerance = 1e-9 if dtype == "float64" else 6e-8 * (4 + 2 * np.pi * phase_turns(case))
     assert abs(float(re) - float(out["P_re"]) / n) < tolerance
     assert abs(float(im) - float(out["P_im"]) / n) < tolerance
-    assert abs(float(square) - float(out["P2"]) / n**2) < 2 * tolerance
+    # In float32 the square doubles the error of a bright direction.
+    slack = tolerance if dtype == "float64" else 2 * tolerance
+    assert abs(float(square) - float(out["P2"]) / n**2) < slack
 
 
 @pytest.mark.parametrize(
