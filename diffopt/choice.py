@@ -305,10 +305,9 @@ def _candidate(brdf, name, wave, lam, count, allowed, tolerance) -> Candidate:
     surface = brdf.surface
     floor = bounds.rounding_estimate(surface, wave, lam)
     dtype = surface.heights.dtype
-    out = Candidate(name, None, np.inf, np.inf, np.inf)
     if floor > allowed:
         return _refused(
-            out, f"tolerance {tolerance:g} is below the rounding of {dtype}" + _advice(dtype)
+            name, f"tolerance {tolerance:g} is below the rounding of {dtype}" + _advice(dtype)
         )
     room = allowed - floor
     settings: Settings
@@ -322,9 +321,10 @@ def _candidate(brdf, name, wave, lam, count, allowed, tolerance) -> Candidate:
         # Centred heights halve the argument: fewer terms and far less rounding.
         total = bounds.phase_range(surface, wave, lam)
         rounding = phase.taylor_rounding(0.5 * total, float(jnp.finfo(dtype).eps))
-        if rounding > min(0.5 * room, bounds.LARGEST_ROUNDING):
+        # It counts twice in the bound, as an error of the amplitude.
+        if rounding > min(0.25 * room, bounds.LARGEST_ROUNDING):
             return _refused(
-                out,
+                name,
                 f"{dtype} cannot carry Taylor terms over a phase range of {total:.1f} at this "
                 f"tolerance (rounding {rounding:.1e} of the mirror's peak)" + _advice(dtype),
             )
@@ -337,8 +337,16 @@ def _candidate(brdf, name, wave, lam, count, allowed, tolerance) -> Candidate:
     try:
         refuse(brdf, settings)
     except InputError as error:
-        return _refused(out, str(error))
-    return _priced(brdf, settings, wave, lam, count)
+        return _refused(name, str(error))
+    priced = _priced(brdf, settings, wave, lam, count)
+    if priced.bound > allowed:
+        # A window of few pixels, say, that no gather of this patch can hold.
+        return _refused(
+            name,
+            f"the error bound {priced.bound * tolerance / allowed:.1e} of {settings} stays above "
+            f"the tolerance {tolerance:g}",
+        )
+    return priced
 
 
 def _advice(dtype) -> str:
@@ -356,8 +364,8 @@ def _reasons(found: Sequence[Candidate]) -> str:
     )
 
 
-def _refused(candidate: Candidate, why: str) -> Candidate:
-    return Candidate(candidate.method, None, np.inf, np.inf, np.inf, refused=why)
+def _refused(name: str, why: str) -> Candidate:
+    return Candidate(name, None, np.inf, np.inf, np.inf, refused=why)
 
 
 def _priced(brdf, settings, wave, lam, count) -> Candidate:

@@ -93,8 +93,7 @@ def gather_bins(
     taps
         Bins taken on each axis.
     """
-    ny, nx, terms, _ = tables.shape
-    del ny, nx
+    terms = tables.shape[2]
     block = jax.lax.dynamic_slice(
         tables, (*anchor, *(jnp.zeros_like(anchor[0]),) * 2), (taps, taps, terms, 2)
     )
