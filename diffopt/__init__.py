@@ -18,17 +18,12 @@
 `bounds`               their errors before they run
 `choice`               the cheapest method within a tolerance
 `lookup`               colours as a table over wave vectors, for drawing
-`measurement`          cost of a compiled function
-`studies`              accuracy against time: the protocol, and `study`
-`study_output`         tables, plots and files of their results
-`diffraction_studies`  the studies of the diffraction methods, on `study_jobs`
-`benchmarks`           cost of what runs often; `diffraction_benchmarks`
+`accuracy`             studies of accuracy against time, and benchmarks
 `fresnel`              reflectance of mirrors, glasses and metals
 `colour`               spectra to XYZ to sRGB
 `illuminants`          illuminants, the observer, weights from spectra to XYZ
 `bands`                three bands in place of the matching functions
-`tones`                gamut, exposure and tone curve for a display
-`shapes`, `views`      curved surfaces and their pictures, drawn by `pictures`
+`drawing`              curved surfaces, tones, pictures
 `cli`                  the command line
 =====================  ==========================================================
 """
@@ -37,6 +32,7 @@ from diffopt import colour as colour
 from diffopt import fresnel as fresnel
 from diffopt import gratings as gratings
 from diffopt import samples as samples
+from diffopt.accuracy.studies import study as study
 from diffopt.choice import Choice as Choice
 from diffopt.choice import PreparedBRDF as PreparedBRDF
 from diffopt.diffraction import DiffractionBRDF as DiffractionBRDF
@@ -47,6 +43,5 @@ from diffopt.settings import SeparableSettings as SeparableSettings
 from diffopt.settings import TaylorSettings as TaylorSettings
 from diffopt.statistical import GaussianRoughness as GaussianRoughness
 from diffopt.statistical import RandomBumps as RandomBumps
-from diffopt.studies import study as study
 
 __version__ = "0.1.0"

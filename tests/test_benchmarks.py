@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffopt import benchmarks, diffraction_benchmarks
-from diffopt.benchmarks import measure
+from diffopt.accuracy import benchmarks, diffraction_benchmarks
+from diffopt.accuracy.benchmarks import measure
+from diffopt.accuracy.measurement import compile_ahead, time_together, value_and_gradient
 from diffopt.errors import InputError
-from diffopt.measurement import compile_ahead, time_together, value_and_gradient
 
 pytestmark = pytest.mark.float32
 

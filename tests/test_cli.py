@@ -14,7 +14,8 @@ import PIL.Image
 import pytest
 
 import diffopt
-from diffopt import DiffractionBRDF, Heightfield, InputError, studies
+from diffopt import DiffractionBRDF, Heightfield, InputError
+from diffopt.accuracy import studies
 from diffopt.cli import main, options
 from diffopt.cli.output import folder
 
@@ -200,7 +201,7 @@ def test_accuracy_prints_a_table_and_writes_plot_and_rows(monkeypatch, tmp_path,
 
 
 def test_bench_prints_and_writes_rows(tmp_path, capsys):
-    from diffopt import benchmarks
+    from diffopt.accuracy import benchmarks
 
     name = next(iter(benchmarks.NAMES))
     path = tmp_path / "bench.csv"
@@ -243,7 +244,7 @@ def test_folder_appears_whole_or_not_at_all(tmp_path):
 
 
 def test_bugs_keep_their_traceback(monkeypatch, scan_file, tmp_path):
-    from diffopt import views
+    from diffopt.drawing import views
 
     def broken(*_, **__):
         raise ValueError("shapes do not match")

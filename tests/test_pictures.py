@@ -8,17 +8,8 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from diffopt import (
-    DiffractionBRDF,
-    Heightfield,
-    InputError,
-    colour,
-    pictures,
-    samples,
-    shapes,
-    tones,
-    views,
-)
+from diffopt import DiffractionBRDF, Heightfield, InputError, colour, samples
+from diffopt.drawing import pictures, shapes, tones, views
 
 INCIDENCE = math.radians(20.0)
 PITCH = 1.6

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diffopt import shapes
+from diffopt.drawing import shapes
 from diffopt.errors import InputError
 
 VIEWS = {

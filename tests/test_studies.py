@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 
 import diffopt
-from diffopt import bounds, studies, study_jobs
+from diffopt import bounds
+from diffopt.accuracy import jobs as study_jobs
+from diffopt.accuracy import studies
+from diffopt.accuracy.studies import Case, Job, Row, Study, StudyResult
 from diffopt.errors import InputError
 from diffopt.kernels import phase
 from diffopt.settings import TaylorSettings
-from diffopt.studies import Case, Job, Row, Study, StudyResult
 
 
 def made_up(*rows, conditions=()):

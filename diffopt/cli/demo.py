@@ -93,8 +93,8 @@ def draw_disc(job: "Job", path: Path, report: Any) -> None:
     """Picture of the disc under a near lamp."""
     import numpy as np
 
-    from diffopt import shapes
     from diffopt.cli import diffraction
+    from diffopt.drawing import shapes
 
     view = shapes.disc(diffraction.SUPERSAMPLING * job.options.size, eye=CAMERA)
     light = view.towards(np.array(LAMP))

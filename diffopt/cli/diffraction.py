@@ -12,9 +12,9 @@ from diffopt.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from diffopt import shapes, views
     from diffopt.cli.options import Appearance, Job, Source
     from diffopt.cli.progress import Stages
+    from diffopt.drawing import shapes, views
 
 #: Pictures of every scan, in the order in which they are made.
 PICTURES = ("scan.png", "in_plane.png", "hemisphere.png", "sphere.png", "sheet.png")
@@ -142,8 +142,8 @@ def precision(dtype: str) -> Iterator[None]:
 
 def produce(job: "Job", folder: Path, stages: "Stages") -> dict[str, Any]:
     """Compute and draw everything into a folder; gives the summary of ``result.json``."""
-    from diffopt import pictures, shapes, views
     from diffopt.cli import results
+    from diffopt.drawing import pictures, shapes, views
 
     options, light = job.options, job.illuminant
     with stages.stage("in-plane spectra"):
@@ -184,7 +184,7 @@ def spectra(job: "Job") -> "views.InPlane":
     import jax
     import jax.numpy as jnp
 
-    from diffopt import views
+    from diffopt.drawing import views
 
     options = job.options
 
@@ -217,7 +217,7 @@ def object_table(job: "Job", objects: dict[str, "shapes.View"], lights: dict, re
     """One colour table for several objects under their lights."""
     import numpy as np
 
-    from diffopt import views
+    from diffopt.drawing import views
 
     waves = []
     for name, view in objects.items():
@@ -241,7 +241,7 @@ def draw_object(
     percentile: float = 96.0,
 ) -> None:
     """Light one object and write its picture."""
-    from diffopt import pictures, views
+    from diffopt.drawing import pictures, views
 
     image = views.photograph(job.brdf, table, view, light, illuminant=job.illuminant)
     rgb = pictures.photograph(

@@ -40,7 +40,7 @@ def info(
     from diffopt.cli import options
     from diffopt.cli.errors import user_input
     from diffopt.cli.progress import terminal
-    from diffopt.pictures import describe
+    from diffopt.drawing.pictures import describe
 
     source = options.Source(file, pixel_size, height_range, height_unit, channel, level, fill, key)
     with user_input():

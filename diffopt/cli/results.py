@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from diffopt import __version__, colour, tones, views
+from diffopt import __version__, colour
 from diffopt.cli.options import Job
 from diffopt.cli.progress import Stages
+from diffopt.drawing import tones, views
 
 UNITS = {
     "wi": "unit vector to the light",

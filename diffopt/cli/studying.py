@@ -33,7 +33,8 @@ def accuracy(
     ] = None,
 ) -> None:
     """Error against time of every approximation: table, plot, CSV."""
-    from diffopt import checks, studies
+    from diffopt import checks
+    from diffopt.accuracy import studies
     from diffopt.cli.output import folder
     from diffopt.cli.progress import stages, terminal
     from diffopt.errors import InputError
@@ -78,7 +79,8 @@ def bench(
     """Compilation, run, gradient, operations and memory of the compiled functions."""
     from rich.table import Table
 
-    from diffopt import benchmarks, checks
+    from diffopt import checks
+    from diffopt.accuracy import benchmarks
     from diffopt.cli.errors import user_input
     from diffopt.cli.progress import stages, terminal
     from diffopt.errors import InputError

@@ -2,7 +2,7 @@
 
 `run` gives the benchmarks of `NAMES` by name; `measure` does the same for any function:
 
->>> from diffopt.benchmarks import measure
+>>> from diffopt.accuracy.benchmarks import measure
 >>> print(measure(jnp.linalg.norm, jnp.ones((1000, 1000)), gradient=0))
 """
 
@@ -13,21 +13,21 @@ from typing import Any
 
 import jax
 
+from diffopt.accuracy.measurement import Measurement as Measurement
+from diffopt.accuracy.measurement import compile_ahead, time_together, value_and_gradient
+from diffopt.accuracy.measurement import measure as measure
 from diffopt.errors import InputError
-from diffopt.measurement import Measurement as Measurement
-from diffopt.measurement import compile_ahead, time_together, value_and_gradient
-from diffopt.measurement import measure as measure
 
 # Where each benchmark is defined; modules are imported when one is asked for.
 NAMES: dict[str, str] = {
-    "colour.xyz": "diffopt.diffraction_benchmarks:COLOUR",
-    "derivative": "diffopt.diffraction_benchmarks:DERIVATIVE",
-    "direct.positions": "diffopt.diffraction_benchmarks:DIRECT_POSITIONS",
-    "direct.window": "diffopt.diffraction_benchmarks:DIRECT_WINDOW",
-    "separable.grid": "diffopt.diffraction_benchmarks:SEPARABLE_GRID",
-    "separable.pairs": "diffopt.diffraction_benchmarks:SEPARABLE_PAIRS",
-    "taylor.gather": "diffopt.diffraction_benchmarks:TAYLOR_GATHER",
-    "taylor.tables": "diffopt.diffraction_benchmarks:TAYLOR_TABLES",
+    "colour.xyz": "diffopt.accuracy.diffraction_benchmarks:COLOUR",
+    "derivative": "diffopt.accuracy.diffraction_benchmarks:DERIVATIVE",
+    "direct.positions": "diffopt.accuracy.diffraction_benchmarks:DIRECT_POSITIONS",
+    "direct.window": "diffopt.accuracy.diffraction_benchmarks:DIRECT_WINDOW",
+    "separable.grid": "diffopt.accuracy.diffraction_benchmarks:SEPARABLE_GRID",
+    "separable.pairs": "diffopt.accuracy.diffraction_benchmarks:SEPARABLE_PAIRS",
+    "taylor.gather": "diffopt.accuracy.diffraction_benchmarks:TAYLOR_GATHER",
+    "taylor.tables": "diffopt.accuracy.diffraction_benchmarks:TAYLOR_TABLES",
 }
 SIZES = ("small", "full")
 
@@ -88,7 +88,7 @@ class Benchmark:
 
 @dataclass(frozen=True)
 class Result:
-    """One line of the table; costs as in `diffopt.measurement.Measurement`."""
+    """One line of the table; costs as in `diffopt.accuracy.measurement.Measurement`."""
 
     name: str
     shape: str

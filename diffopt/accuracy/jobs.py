@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffopt import bounds, methods
+from diffopt.accuracy.studies import Job
 from diffopt.choice import sample_pairs
 from diffopt.kernels import phase
 from diffopt.methods import Coverage, Surface
 from diffopt.settings import DirectSettings, SeparableSettings, Settings
-from diffopt.studies import Job
 
 # The shortest visible wavelength has the largest phases.
 SHORTEST = 0.38

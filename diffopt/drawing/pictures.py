@@ -1,7 +1,8 @@
 """Figures of a scan and of what it reflects, drawn with matplotlib, without a display.
 
 Every function returns a `matplotlib.figure.Figure` or an sRGB array; `save` writes either.
-What is drawn comes from `diffopt.views`; nothing is computed here; exposure is in `diffopt.tones`.
+What is drawn comes from `diffopt.drawing.views`, exposure from `diffopt.drawing.tones`; nothing is
+computed here.
 """
 
 import math
@@ -13,7 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from diffopt import colour, tones, views
+from diffopt import colour
+from diffopt.drawing import tones, views
 from diffopt.heightfield import Heightfield
 from diffopt.statistics import SurfaceStatistics
 
@@ -43,11 +45,11 @@ def photograph(
     Parameters
     ----------
     image
-        From `diffopt.views.photograph`; uniform surroundings of `SURROUNDINGS` are added.
+        From `diffopt.drawing.views.photograph`; uniform surroundings of `SURROUNDINGS` are added.
     supersampling
         Samples averaged on each axis, after the tone curve, so that edges are smooth.
     percentile
-        See `diffopt.tones.exposure`; of the material's samples that are lit.
+        See `diffopt.drawing.tones.exposure`; of the material's samples that are lit.
     illuminant
         The light of the image.
     """

@@ -13,13 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffopt import colour, samples
-from diffopt.diffraction import DiffractionBRDF, evaluate
-from diffopt.heightfield import Heightfield
-from diffopt.kernels import phase
-from diffopt.methods import Coverage
-from diffopt.settings import DirectSettings, SeparableSettings, TaylorSettings
-from diffopt.studies import Case, Job, Study
-from diffopt.study_jobs import (
+from diffopt.accuracy.jobs import (
     SHORTEST,
     WAVELENGTHS,
     hard_and_random,
@@ -27,6 +21,12 @@ from diffopt.study_jobs import (
     truth,
     wave_vectors,
 )
+from diffopt.accuracy.studies import Case, Job, Study
+from diffopt.diffraction import DiffractionBRDF, evaluate
+from diffopt.heightfield import Heightfield
+from diffopt.kernels import phase
+from diffopt.methods import Coverage
+from diffopt.settings import DirectSettings, SeparableSettings, TaylorSettings
 
 DIRECT = "the direct sum in float64"
 TO_PEAK = "largest error of |P|^2 relative to a mirror's peak"

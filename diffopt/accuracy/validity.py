@@ -4,11 +4,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffopt import rigorous
+from diffopt.accuracy.studies import Case, Job, Study
 from diffopt.diffraction import DiffractionBRDF, evaluate
 from diffopt.heightfield import Heightfield
 from diffopt.kernels.prefactor import NAMES as PREFACTORS
 from diffopt.settings import DirectSettings
-from diffopt.studies import Case, Job, Study
 
 WAVELENGTH = 0.5
 # Samples of a period: the rectangle rule over a smooth period is exact to rounding, and

@@ -1,4 +1,4 @@
-"""Tables, plots and files of study results, see `diffopt.studies.StudyResult`."""
+"""Tables, plots and files of study results, see `diffopt.accuracy.studies.StudyResult`."""
 
 import csv
 import io
@@ -39,7 +39,7 @@ def table(result: Any) -> Any:
 
 
 def plot(result: Any, path: str | os.PathLike | None) -> Any:
-    """Error against run time; see `diffopt.studies.StudyResult.plot`."""
+    """Error against run time; see `diffopt.accuracy.studies.StudyResult.plot`."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 6.0), layout="constrained")

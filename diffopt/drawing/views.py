@@ -13,9 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from diffopt import colour, lookup, shapes, tones
+from diffopt import colour, lookup
 from diffopt.choice import Choice
 from diffopt.diffraction import DiffractionBRDF
+from diffopt.drawing import shapes, tones
 from diffopt.errors import InputError
 
 Progress = Callable[[int, int], None]

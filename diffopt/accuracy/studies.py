@@ -18,19 +18,19 @@ from typing import Any
 import jax
 import numpy as np
 
-from diffopt import study_output
+from diffopt.accuracy import output
+from diffopt.accuracy.measurement import compile_ahead, measure
 from diffopt.errors import InputError
-from diffopt.measurement import compile_ahead, measure
 
 # Where each study is defined; modules are imported when a study is asked for.
 NAMES: dict[str, str] = {
-    "diffraction.nodes": "diffopt.diffraction_studies:NODES",
-    "diffraction.patch": "diffopt.diffraction_studies:PATCH",
-    "diffraction.rounding": "diffopt.diffraction_studies:ROUNDING",
-    "diffraction.scalar": "diffopt.validity_studies:SCALAR",
-    "diffraction.step": "diffopt.diffraction_studies:STEP",
-    "diffraction.terms": "diffopt.diffraction_studies:TERMS",
-    "diffraction.window": "diffopt.diffraction_studies:WINDOW",
+    "diffraction.nodes": "diffopt.accuracy.diffraction:NODES",
+    "diffraction.patch": "diffopt.accuracy.diffraction:PATCH",
+    "diffraction.rounding": "diffopt.accuracy.diffraction:ROUNDING",
+    "diffraction.scalar": "diffopt.accuracy.validity:SCALAR",
+    "diffraction.step": "diffopt.accuracy.diffraction:STEP",
+    "diffraction.terms": "diffopt.accuracy.diffraction:TERMS",
+    "diffraction.window": "diffopt.accuracy.diffraction:WINDOW",
 }
 
 Value = str | int | float | bool
@@ -52,7 +52,7 @@ class Row:
         Known before the run, an estimate where the study's quantity says so; None where
         there is none.
     compile_s, run_s, gradient_s, flops, peak_bytes
-        See `diffopt.measurement.Measurement`. Cases that differ in the values of their
+        See `diffopt.accuracy.measurement.Measurement`. Cases that differ in the values of their
         arguments only share one compilation.
     note
         Anything else that was measured.
@@ -76,7 +76,7 @@ class Job:
     Attributes
     ----------
     function, arguments
-        Compiled and timed by `diffopt.measurement.measure`.
+        Compiled and timed by `diffopt.accuracy.measurement.measure`.
     judge
         From the result to (error, note).
     bound
@@ -163,7 +163,7 @@ class Study:
         rows = []
         for done, case in enumerate(cases):
             if progress is not None:
-                progress(done, len(cases), study_output.label(case.settings))
+                progress(done, len(cases), output.label(case.settings))
             with jax.enable_x64(case.dtype == "float64"):
                 rows.append(_row(case, programs, repeats))
         if progress is not None:
@@ -219,9 +219,7 @@ class StudyResult:
                 )
         rows = tuple(r for r in self.rows if all(r.settings[k] == v for k, v in settings.items()))
         if not rows:
-            raise InputError(
-                f"study {self.study.name!r}: no row has {study_output.label(settings)}"
-            )
+            raise InputError(f"study {self.study.name!r}: no row has {output.label(settings)}")
         return StudyResult(self.study, rows)
 
     def problems(self) -> list["StudyResult"]:
@@ -273,10 +271,10 @@ class StudyResult:
 
     def table(self) -> Any:
         """A `rich.table.Table` of all rows; those of the front carry a star."""
-        return study_output.table(self)
+        return output.table(self)
 
     def __str__(self) -> str:
-        return study_output.as_text(self.table())
+        return output.as_text(self.table())
 
     def plot(self, path: str | os.PathLike | None = None) -> Any:
         """Error against run time, both logarithmic, settings written on each point.
@@ -293,12 +291,12 @@ class StudyResult:
             its conditions, a panel for each of the others.
         """
         if self.study.against is not None:
-            return study_output.plot_against(self, self.study.against, path)
-        return study_output.plot(self, path)
+            return output.plot_against(self, self.study.against, path)
+        return output.plot(self, path)
 
     def save_csv(self, path: str | os.PathLike) -> None:
         """Write all rows: settings, then error, bound and costs, empty where unknown."""
-        study_output.save_csv(self, path)
+        output.save_csv(self, path)
 
     def _conditions(self, row: Row) -> tuple:
         return tuple(row.settings.get(name) for name in self.study.conditions)

@@ -12,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffopt import colour, methods
-from diffopt.benchmarks import Benchmark, Entry
+from diffopt.accuracy.benchmarks import Benchmark, Entry
+from diffopt.accuracy.jobs import hard_and_random, make_surface, wave_vectors
 from diffopt.kernels import dtft, phase, spectrum
 from diffopt.methods import Coverage, Surface
 from diffopt.settings import DirectSettings, SeparableSettings, TaylorSettings
-from diffopt.study_jobs import hard_and_random, make_surface, wave_vectors
 
 PIXEL = 0.05
 PHASE_RANGE = 5.0

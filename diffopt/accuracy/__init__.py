@@ -1,0 +1,13 @@
+"""Accuracy against time: studies of every approximation, and benchmarks of what runs often.
+
+========================  =====================================================
+`studies`                 the protocol, and `study`
+`jobs`                    surfaces, directions and truth that studies share
+`output`                  tables, plots and files of their results
+`diffraction`             studies of the diffraction methods
+`validity`                the scalar models against rigorous optics
+`measurement`             cost of a compiled function
+`benchmarks`              the protocol of the benchmarks
+`diffraction_benchmarks`  benchmarks of the diffraction methods
+========================  =====================================================
+"""
