@@ -14,10 +14,13 @@
 `diffraction`          the diffraction BRDF of a heightfield, and its reference sum
 `statistical`          closed forms for surfaces known by their statistics
 `methods`              the ways to evaluate it
+`gathering`            those that gather from tables of Fourier bins
 `settings`             their settings
 `bounds`               their errors before they run
-`choice`               the cheapest method within a tolerance
-`lookup`               colours as a table over wave vectors, for drawing
+`choice`               the cheapest method within a tolerance, among `candidates`, by `costs`
+`lookup`               reflectance as a table over wave vectors
+`baking`               how it is made; `table_bounds`: its error; `stores`: its files
+`few`                  a few wavelengths, the mirror peak apart
 `accuracy`             studies of accuracy against time, and benchmarks
 `fresnel`              reflectance of mirrors, glasses and metals
 `colour`               spectra to XYZ to sRGB
@@ -38,10 +41,16 @@ from diffopt.choice import PreparedBRDF as PreparedBRDF
 from diffopt.diffraction import DiffractionBRDF as DiffractionBRDF
 from diffopt.errors import InputError as InputError
 from diffopt.heightfield import Heightfield as Heightfield
+from diffopt.settings import ChebyshevSettings as ChebyshevSettings
 from diffopt.settings import DirectSettings as DirectSettings
+from diffopt.settings import FewSettings as FewSettings
+from diffopt.settings import LowRankSettings as LowRankSettings
 from diffopt.settings import SeparableSettings as SeparableSettings
+from diffopt.settings import TableSettings as TableSettings
 from diffopt.settings import TaylorSettings as TaylorSettings
 from diffopt.statistical import GaussianRoughness as GaussianRoughness
 from diffopt.statistical import RandomBumps as RandomBumps
+from diffopt.stores import BakedBRDF as BakedBRDF
+from diffopt.stores import load_table as load_table
 
 __version__ = "0.1.0"

@@ -6,9 +6,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffopt.errors import InputError
-from diffopt.kernels import gather, phase
+from diffopt.kernels import expansions, gather, phase
 from diffopt.methods import Surface
-from diffopt.settings import DirectSettings, SeparableSettings, Settings, TaylorSettings
+from diffopt.settings import (
+    ChebyshevSettings,
+    DirectSettings,
+    GatherSettings,
+    LowRankSettings,
+    SeparableSettings,
+    Settings,
+    TaylorSettings,
+)
 
 # Beyond this the picture is wrong, whatever tolerance was asked.
 LARGEST_ROUNDING = 5e-3
@@ -31,17 +39,59 @@ def separable_sweep(surface: Surface, wave: np.ndarray, wavelengths: np.ndarray)
     return sweep if surface.coverage == "positions" else 0.5 * sweep
 
 
+def expansion_argument(surface: Surface, wave: np.ndarray, wavelengths: np.ndarray) -> float:
+    """Half the phase swept by s = w / wavelength over a job: z of its expansions, radians.
+
+    With heights measured from their mid-range; twice that where |c|^2 is expanded
+    (averaged over positions). The interval is that of `kernels.expansions.interval`.
+    """
+    low, high = s_interval(surface, wave, wavelengths)
+    span = float(surface.heights.max() - surface.heights.min())
+    size = 1.0 + 0.5 * abs(low + high)
+    half = max(0.5 * (high - low), size / max(1.0, phase.TWO_PI * span * size))
+    return math.pi * half * span * (2.0 if surface.coverage == "positions" else 1.0)
+
+
+def s_interval(surface: Surface, wave: np.ndarray, wavelengths: np.ndarray) -> tuple[float, float]:
+    """Smallest and largest s = w / wavelength of a job, cycles per micrometre."""
+    w = np.full(1, -2.0) if surface.prefactor in ("ohs", "rohs") else wave[:, 2]
+    s = np.outer(w, 1.0 / np.atleast_1d(wavelengths))
+    return float(s.min()), float(s.max())
+
+
+def expansion_error(
+    surface: Surface, settings: GatherSettings, wave: np.ndarray, wavelengths: np.ndarray
+) -> float:
+    """Bound on the error of exp(i k w h), or of |c|^2, by the expansion of the settings.
+
+    Truncation is rigorous; the rounding of the terms is an estimate. Chebyshev and low-rank
+    terms round like the direct sum, Taylor terms lose exp(argument).
+    """
+    eps = float(jnp.finfo(surface.heights.dtype).eps)
+    if isinstance(settings, TaylorSettings):
+        total = phase_range(surface, wave, wavelengths)
+        argument = 0.5 * total if settings.centred else total
+        # Half of `taylor_rounding` is that of the amplitude.
+        rounding = 0.5 * phase.taylor_rounding(argument, eps)
+        return phase.taylor_bound(argument, settings.terms) + rounding
+    z = expansion_argument(surface, wave, wavelengths)
+    bound = (
+        phase.chebyshev_bound(z, settings.terms)
+        if isinstance(settings, ChebyshevSettings)
+        else expansions.lowrank_bound(z, settings.terms)
+    )
+    return bound + eps * (6.0 + z)
+
+
 def error_bound(
     surface: Surface, settings: Settings, wave: np.ndarray, wavelengths: np.ndarray
 ) -> float:
     """Bound on the error of |P|^2 relative to a mirror's peak, truncation and rounding.
 
-    Truncation is rigorous (`chebyshev_bound`, `taylor_bound`, `truncation_bound`);
+    Truncation is rigorous (`chebyshev_bound`, `expansion_error`, `truncation_bound`);
     rounding is an estimate of a few units in the last place, checked by the study
     ``diffraction.rounding``.
     """
-    eps = float(jnp.finfo(surface.heights.dtype).eps)
-    total = phase_range(surface, wave, wavelengths)
     rounding = rounding_estimate(surface, wave, wavelengths)
     if isinstance(settings, DirectSettings):
         return rounding
@@ -49,11 +99,17 @@ def error_bound(
         e = phase.chebyshev_bound(separable_sweep(surface, wave, wavelengths), settings.nodes)
         truncation = e if surface.coverage == "positions" else 2.0 * e + e * e
         return truncation + rounding
-    argument = 0.5 * total if settings.centred else total
-    # Half of `taylor_rounding` is that of the amplitude: where it nears one, its square counts.
-    e = phase.taylor_bound(argument, settings.terms) + 0.5 * phase.taylor_rounding(argument, eps)
+    if not isinstance(settings, GatherSettings):
+        raise TypeError(f"no bound known for settings {settings!r}")
+    e = expansion_error(surface, settings, wave, wavelengths)
     cut = gather_cut(surface, settings.reach, wavelengths)
-    return 2.0 * e + e * e + cut + rounding
+    if surface.coverage == "positions":
+        if isinstance(settings, ChebyshevSettings | LowRankSettings):
+            # Each bin errs by e at most: those left out do not cancel those gathered.
+            return e * (1.0 + gather_omitted(surface, settings.reach, wavelengths)) + cut + rounding
+        return 2.0 * e + e * e + cut + rounding
+    # Both are errors of the amplitude, whose square counts where they near one.
+    return (1.0 + cut) * (1.0 + e) ** 2 - 1.0 + rounding
 
 
 def refuse_rounding(
@@ -74,17 +130,28 @@ def refuse_rounding(
         raise InputError(
             f"method 'taylor': {dtype} cannot carry Taylor terms over a phase range of "
             f"{total:.1f} (rounding {rounding:.1e} of a mirror's peak, at most "
-            f"{LARGEST_ROUNDING:g} accepted): use method 'separable' or 'direct', centred "
-            "heights, or float64"
+            f"{LARGEST_ROUNDING:g} accepted): use method 'chebyshev', 'lowrank', "
+            "'separable' or 'direct', centred heights, or float64"
         )
 
 
 def gather_cut(surface: Surface, reach: int, wavelengths: np.ndarray) -> float:
     """Bound on what a gather of +-`reach` bins leaves out, relative to a mirror's peak."""
     squared = surface.coverage == "positions"
+    return gather.truncation_bound(reach, _bin_step(surface, wavelengths), squared=squared)
+
+
+def gather_omitted(surface: Surface, reach: int, wavelengths: np.ndarray) -> float:
+    """Bound on the sum of the squared weights that a gather of +-`reach` bins leaves out."""
+    return gather.omitted_weight(reach, _bin_step(surface, wavelengths))
+
+
+def _bin_step(surface: Surface, wavelengths: np.ndarray) -> float:
+    """Distance of the Fourier bins over sigma_f, blur included, on the longer side."""
+    squared = surface.coverage == "positions"
     blur = float(surface.blur) / float(np.min(wavelengths)) if squared else 0.0
     sigma_f = math.sqrt((1.0 / (phase.TWO_PI * float(surface.sigma))) ** 2 + 2.0 * blur**2)
-    return gather.truncation_bound(reach, 1.0 / (max(surface.extent) * sigma_f), squared=squared)
+    return 1.0 / (max(surface.extent) * sigma_f)
 
 
 def rounding_estimate(surface: Surface, wave: np.ndarray, wavelengths: np.ndarray) -> float:
@@ -94,7 +161,13 @@ def rounding_estimate(surface: Surface, wave: np.ndarray, wavelengths: np.ndarra
     rounding of s and f themselves, which acts as a change of direction by eps.
     """
     eps = float(jnp.finfo(surface.heights.dtype).eps)
+    turns = 4.0 + phase_range(surface, wave, wavelengths)
+    return eps * turns + direction_rounding(surface, wave, wavelengths)
+
+
+def direction_rounding(surface: Surface, wave: np.ndarray, wavelengths: np.ndarray) -> float:
+    """The part of `rounding_estimate` that comes from the directions: lines that move."""
+    eps = float(jnp.finfo(surface.heights.dtype).eps)
     shift = float(np.abs(wave[:, :2]).max()) / float(np.min(wavelengths))
     width = max(surface.extent) if surface.coverage == "patch" else 2.0 * float(surface.sigma)
-    turns = phase_range(surface, wave, wavelengths) + phase.TWO_PI * shift * width
-    return eps * (4.0 + turns)
+    return eps * phase.TWO_PI * shift * width

@@ -1,60 +1,36 @@
 """Which method, at which settings, for a job and a tolerance.
 
 The tolerance bounds the largest error of the output over its largest value in the job, for
-the patch as given. It is turned into a bound on |P|^2 with the job's own prefactors and a
-lower bound of its largest value (a few of its pairs, evaluated), so that the chosen
-settings never exceed it; costs come from a model calibrated by the benchmarks.
+the patch as given. Every method's settings are chosen so that its error bound meets it
+(`diffopt.candidates`); the cheapest by a model calibrated with the benchmarks
+(`diffopt.costs`) is taken.
 """
 
-from collections.abc import Sequence
+import dataclasses
+import hashlib
+import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from diffopt import bounds, checks, colour
+from diffopt import baking, bounds, candidates, checks, colour, few, stores
+from diffopt.baking import Box
+from diffopt.candidates import METHODS as METHODS
+from diffopt.candidates import Candidate as Candidate
+from diffopt.candidates import Gradient, Job
 from diffopt.checks import Values
-from diffopt.diffraction import DiffractionBRDF, Output, evaluate, factors, refuse
+from diffopt.diffraction import DiffractionBRDF, Output, evaluate, refuse
 from diffopt.errors import InputError
-from diffopt.kernels import phase
-from diffopt.methods import taylor_tables
-from diffopt.settings import DirectSettings, SeparableSettings, Settings, TaylorSettings
+from diffopt.gathering import GatherTables, gather_tables
+from diffopt.lookup import Table
+from diffopt.settings import FewSettings, GatherSettings, Settings, TableSettings
 
-METHODS = ("direct", "separable", "taylor")
-
-
-@dataclass(frozen=True)
-class CostModel:
-    """Seconds per unit of work in float32 on two x86 cores; `diffopt bench` measures them.
-
-    Ratios between methods are what matters; float64 takes about twice as long.
-    """
-
-    window_sample: float = 2.0e-9
-    positions_sample: float = 8.0e-9
-    product: float = 1.5e-11
-    tap_term: float = 1.2e-9
-    evaluation: float = 5.0e-7
-    table_sample: float = 2.0e-8
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """One way to do a job, or why it cannot be done that way."""
-
-    method: str
-    settings: Settings | None
-    bound: float
-    setup_s: float
-    run_s: float
-    refused: str | None = None
-
-    @property
-    def total_s(self) -> float:
-        """Set-up and run together, seconds."""
-        return self.setup_s + self.run_s
+Tables = GatherTables | Table | few.FewWavelengths | None
 
 
 @dataclass(frozen=True)
@@ -68,12 +44,16 @@ class Choice:
     tolerance
         What was asked: largest error over largest value of the output.
     error_bound
-        What the settings guarantee in the same terms (truncation rigorous, rounding
-        estimated).
+        What the settings guarantee in the same terms (truncation rigorous but for a table's
+        interpolation in w, rounding estimated); NaN for ``few``, which has no bound.
     patch_error
         Estimated error of the finite patch, apart from the above.
     setup_s, run_s
-        Predicted seconds.
+        Predicted seconds, compilation apart.
+    nbytes
+        Memory of what is set up.
+    job
+        The job in words.
     candidates
         Every method with its settings and predicted cost, or the reason it is out.
     """
@@ -85,22 +65,32 @@ class Choice:
     patch_error: float
     setup_s: float
     run_s: float
+    nbytes: int
+    job: str
     candidates: tuple[Candidate, ...]
 
     def __str__(self) -> str:
+        others = [c for c in self.candidates if c.method != self.method]
+        usable = [c for c in others if c.refused is None]
+        why = ""
+        if usable:
+            second = min(usable, key=lambda c: c.total_s)
+            ratio = second.total_s / max(self.setup_s + self.run_s, 1e-12)
+            why = f": {ratio:.3g} times as fast as {second.method}"
         lines = [
             f"{self.method}: {self.settings}",
+            f"for {self.job}{why}",
             f"error bound {self.error_bound:.1e} (asked {self.tolerance:.1e}); "
             f"finite patch apart: about {self.patch_error:.1e}",
-            f"predicted: {self.setup_s:.3g} s to set up, {self.run_s:.3g} s to run",
+            f"predicted: {self.setup_s:.3g} s to set up, {self.run_s:.3g} s to run, "
+            f"{self.nbytes / 1e6:.3g} MB",
         ]
-        for other in self.candidates:
-            if other.method == self.method:
-                continue
+        for other in others:
             lines.append(
                 f"  {other.method}: {other.refused}"
                 if other.refused
-                else f"  {other.method}: {other.total_s:.3g} s with {other.settings}"
+                else f"  {other.method}: {other.setup_s:.3g} + {other.run_s:.3g} s "
+                f"with {other.settings}"
             )
         return "\n".join(lines)
 
@@ -111,7 +101,7 @@ class PreparedBRDF(eqx.Module):
     brdf: DiffractionBRDF
     wavelengths: Float[Array, " L"]
     weights: Float[Array, "L 3"] | None
-    tables: Float[Array, "nyp nxp terms 2"] | None
+    tables: Tables
     settings: Settings = eqx.field(static=True)
     output: Output = eqx.field(static=True)
     choice: Choice = eqx.field(static=True)
@@ -129,7 +119,22 @@ class PreparedBRDF(eqx.Module):
         -------
         Array
             [..., L] in 1/sr (or relative), or [..., 3] for ``output="xyz"``.
+
+        Raises
+        ------
+        InputError
+            For a table, if pairs lie outside the box of its job (NaN where the call is
+            traced by a caller's own jit).
         """
+        if isinstance(self.tables, Table):
+            return stores.evaluate_pairs(self.tables, wi, wo)
+        if isinstance(self.tables, few.FewWavelengths):
+            checks.directions("wi", wi)
+            checks.directions("wo", wo)
+            dtype = self.wavelengths.dtype
+            wi, wo = jnp.broadcast_arrays(jnp.asarray(wi, dtype), jnp.asarray(wo, dtype))
+            assert isinstance(self.settings, FewSettings)
+            return few.evaluate_few(self.brdf, self.tables, wi, wo, self.settings)
         return evaluate(
             self.brdf,
             wi,
@@ -140,6 +145,56 @@ class PreparedBRDF(eqx.Module):
             weights=self.weights,
             tables=self.tables,
         )
+
+    def save(self, path: str | os.PathLike, **about: Any) -> None:
+        """Write a baked table as a zarr folder; `diffopt.load_table` reads it.
+
+        Parameters
+        ----------
+        path
+            Folder to write; an older table of that name is replaced when all is written.
+        **about
+            Anything to keep with it, as ``scan="stamper.sur"``; what JSON can hold.
+
+        Raises
+        ------
+        InputError
+            If the method is not ``table``, or the path cannot be used.
+        """
+        if not isinstance(self.tables, Table):
+            raise InputError(
+                f"{os.fspath(path)}: method {self.choice.method!r} has no table to save; prepare "
+                "with method='table'"
+            )
+        stores.save(path, self.tables, {**self._record(), **about})
+
+    def _record(self) -> dict[str, Any]:
+        from diffopt import __version__
+
+        surface, choice = self.brdf.surface, self.choice
+        heights = np.asarray(surface.heights)
+        return {
+            "program": f"diffopt {__version__}",
+            "output": self.output,
+            "balance": self.brdf.balance,
+            "unit": "1/sr" if self.output == "spectral" else f"{self.output}, see balance",
+            "wavelengths_um": np.asarray(self.wavelengths, np.float64).round(7).tolist(),
+            "coherence_um": float(surface.sigma),
+            "blur": float(surface.blur),
+            "average": surface.coverage,
+            "fresnel": eqx.tree_pformat(self.brdf.fresnel, short_arrays=False),
+            "settings": dataclasses.asdict(self.settings),
+            "tolerance": choice.tolerance,
+            "error_bound": choice.error_bound,
+            "patch_error": choice.patch_error,
+            "job": choice.job,
+            "heights": {
+                "shape": list(heights.shape),
+                "pixel_um": list(surface.pixel),
+                "dtype": str(heights.dtype),
+                "sha256": hashlib.sha256(np.ascontiguousarray(heights)).hexdigest(),
+            },
+        }
 
 
 def sample_pairs(count: int, largest_angle: float = 75.0) -> tuple[np.ndarray, np.ndarray]:
@@ -159,11 +214,13 @@ def prepare(
     *,
     pairs: int | tuple[Values, Values],
     wavelengths: Values | None = None,
-    output: Output = "spectral",
+    output: Output | str = "spectral",
     tolerance: float = 1e-3,
+    gradient: Gradient | str = "none",
     method: str = "auto",
     settings: Settings | None = None,
     illuminant: colour.IlluminantLike = "D65",
+    progress: Callable[[int, int], None] | None = None,
 ) -> PreparedBRDF:
     """Choose the cheapest method whose error bound meets a tolerance, and set it up.
 
@@ -180,12 +237,18 @@ def prepare(
         ``spectral`` (f, 1/sr), ``relative`` or ``xyz``.
     tolerance
         Largest error of the output over its largest value in the job, in (0, 1).
+    gradient
+        What will be differentiated: ``none``; ``directions``; ``model`` for heights,
+        coherence and reflectance as well, which leaves out what is set up once.
     method
-        ``auto``, ``direct``, ``separable`` or ``taylor``.
+        ``auto``, ``direct``, ``separable``, ``taylor``, ``chebyshev``, ``lowrank`` or
+        ``table``.
     settings
         Explicit settings of a method; override the choice, whatever their error.
     illuminant
         For ``output="xyz"``.
+    progress
+        Called with (parts done, parts in all) while a table is baked.
 
     Raises
     ------
@@ -194,29 +257,25 @@ def prepare(
         heights; the message says why and what would.
     """
     checks.choice("method", method, ("auto", *METHODS))
-    checks.choice("output", output, ("spectral", "relative", "xyz"))
+    kind: Output = checks.choice("output", output, get_args(Output))
+    taken: Gradient = checks.choice("gradient", gradient, get_args(Gradient))
     checks.tolerance(tolerance)
     if wavelengths is None:
         wavelengths = colour.wavelengths()
     checks.wavelengths(wavelengths)
-    dtype = brdf.surface.heights.dtype
     lam = np.atleast_1d(np.asarray(wavelengths, np.float64))
     weights = (
-        np.asarray(colour.spectral_weights(lam, illuminant=illuminant)) if output == "xyz" else None
+        np.asarray(colour.spectral_weights(lam, illuminant=illuminant)) if kind == "xyz" else None
     )
-    count, wi, wo = _job_pairs(pairs)
-    wave = -(wi + wo)
-    gain = _gain(brdf, wi, wo, lam, output, weights, tolerance)
+    count, wi, wo, box = _job_pairs(pairs)
+    gain = candidates.gain(brdf, wi, wo, lam, kind, weights, tolerance)
+    job = Job(brdf, wi, wo, count, box, lam, weights, kind, tolerance, taken, gain)
     if settings is not None:
-        refuse(brdf, settings)
-        bounds.refuse_rounding(brdf.surface, settings, wave, lam)
-        found = (_priced(brdf, settings, wave, lam, count),)
+        _refuse_settings(job, settings)
+        found: tuple[Candidate, ...] = (candidates.price(job, settings),)
     else:
-        found = tuple(
-            _candidate(brdf, name, wave, lam, count, tolerance / gain, tolerance)
-            for name in METHODS
-            if method in ("auto", name)
-        )
+        names = METHODS if method == "auto" else (method,)
+        found = tuple(candidates.candidate(job, name) for name in names)
     usable = [c for c in found if c.refused is None]
     if not usable:
         raise InputError(_reasons(found))
@@ -226,33 +285,75 @@ def prepare(
         method=best.method,
         settings=best.settings,
         tolerance=tolerance,
-        error_bound=best.bound * gain,
+        error_bound=best.bound,
         patch_error=brdf.patch_error(),
         setup_s=best.setup_s,
         run_s=best.run_s,
+        nbytes=best.nbytes,
+        job=f"{count} pairs, {len(lam)} wavelengths, {kind}"
+        + (f", gradient to {taken}" if taken != "none" else ""),
         candidates=found,
     )
-    tables = None
-    if isinstance(best.settings, TaylorSettings):
-        tables = eqx.filter_jit(taylor_tables)(brdf.surface, best.settings)
+    dtype = brdf.surface.heights.dtype
     return PreparedBRDF(
         brdf=brdf,
         wavelengths=jnp.asarray(lam, dtype),
         weights=None if weights is None else jnp.asarray(weights, dtype),
-        tables=tables,
+        tables=_set_up(job, best.settings, progress),
         settings=best.settings,
-        output=output,
+        output=kind,
         choice=choice,
     )
 
 
-def _job_pairs(pairs) -> tuple[int, np.ndarray, np.ndarray]:
+def _set_up(job: Job, settings: Settings, progress) -> Tables:
+    """What the method computes once."""
+    brdf, lam = job.brdf, job.wavelengths
+    relative = job.output == "relative" or (job.output == "xyz" and brdf.balance == "peak")
+    if isinstance(settings, TableSettings):
+        return baking.bake(
+            brdf, job.box, lam, job.weights, settings, relative=relative, progress=progress
+        )
+    if isinstance(settings, FewSettings):
+        assert job.weights is not None
+        return few.few_wavelengths(brdf, lam, job.weights, job.box.w, settings)
+    if isinstance(settings, GatherSettings) and job.gradient != "model":
+        reached = jnp.asarray(
+            bounds.s_interval(brdf.surface, job.wave, lam), brdf.surface.heights.dtype
+        )
+        return eqx.filter_jit(gather_tables)(brdf.surface, settings, reached)
+    return None
+
+
+def _refuse_settings(job: Job, settings: Settings) -> None:
+    """Raise InputError for explicit settings that cannot evaluate the job."""
+    if isinstance(settings, TableSettings):
+        baking.refuse_table(job.brdf)
+    elif isinstance(settings, FewSettings):
+        if job.output != "xyz":
+            raise InputError(f"method 'few' is for output='xyz'; received output={job.output!r}")
+    else:
+        refuse(job.brdf, settings)
+        bounds.refuse_rounding(job.brdf.surface, settings, job.wave, job.wavelengths)
+    if isinstance(settings, TableSettings | FewSettings) and job.gradient == "model":
+        raise InputError(
+            f"gradient='model': what method {settings.name!r} sets up once has no derivative to "
+            "the model; use method 'separable' or 'direct'"
+        )
+
+
+def _job_pairs(pairs) -> tuple[int, np.ndarray, np.ndarray, Box]:
     if isinstance(pairs, int | np.integer):
         if pairs < 1:
             raise InputError(f"pairs must be at least 1; received {pairs}")
         wi, wo = sample_pairs(256)
-        # The mirror direction belongs to every job whose directions are not known.
-        return int(pairs), np.append(wi, [[0, 0, 1.0]], 0), np.append(wo, [[0, 0, 1.0]], 0)
+        # The mirror directions belong to every job whose directions are not known: with
+        # those at either end of the cone w has its whole range.
+        sin, cos = np.sin(np.radians(75.0)), np.cos(np.radians(75.0))
+        wi = np.append(wi, [[0, 0, 1.0], [sin, 0, cos]], 0)
+        wo = np.append(wo, [[0, 0, 1.0], [-sin, 0, cos]], 0)
+        # A table holds every pair above the horizon, though the bound is for the cone.
+        return int(pairs), wi, wo, Box((-2.0, 2.0), (-2.0, 2.0), (-2.0, 0.0))
     wi, wo = pairs
     checks.directions("wi", wi)
     checks.directions("wo", wo)
@@ -261,96 +362,7 @@ def _job_pairs(pairs) -> tuple[int, np.ndarray, np.ndarray]:
     above = (wi[:, 2] > 0) & (wo[:, 2] > 0)
     if not above.any():
         raise InputError("pairs must hold at least one pair above the horizon; received none")
-    return len(wi), wi[above], wo[above]
-
-
-def _gain(brdf, wi, wo, lam, output, weights, tolerance) -> float:
-    """Error of the output over its largest value, per error of |P|^2."""
-    before = _prefactors(brdf, wi, wo, lam, output, weights)
-    # A few pairs, half of them the brightest by direction, give a lower bound of the
-    # largest value: the tolerance then holds for any larger one.
-    near = np.argsort(np.square(wi[:, :2] + wo[:, :2]).sum(-1))[:8]
-    some = np.unique(np.concatenate([near, np.linspace(0, len(wi) - 1, 8).astype(int)]))
-    part = np.unique(np.linspace(0, len(lam) - 1, min(len(lam), 17)).astype(int))
-    scale = evaluate(
-        brdf,
-        wi[some],
-        wo[some],
-        lam[part],
-        DirectSettings(),
-        output=output,
-        weights=None if weights is None else weights[part],
-    )
-    largest = float(jnp.max(scale))
-    if not largest > 0.0:
-        raise InputError(
-            f"tolerance {tolerance:g} is relative to the largest value, which is "
-            f"{largest:g} on the pairs that were tried: give a method and its settings"
-        )
-    return before / largest
-
-
-def _prefactors(brdf, wi, wo, lam, output, weights) -> float:
-    """Largest value that the output would have with |P|^2 = 1."""
-    dtype = brdf.surface.heights.dtype
-    wi, wo = jnp.asarray(wi, dtype), jnp.asarray(wo, dtype)
-    value = factors(brdf, wi, wo, jnp.asarray(lam, dtype), output)
-    if weights is not None:
-        value = jnp.matmul(value, jnp.asarray(weights, dtype))
-    return float(jnp.max(value))
-
-
-def _candidate(brdf, name, wave, lam, count, allowed, tolerance) -> Candidate:
-    """Settings of one method that keep the error of |P|^2 within `allowed`."""
-    surface = brdf.surface
-    floor = bounds.rounding_estimate(surface, wave, lam)
-    dtype = surface.heights.dtype
-    if floor > allowed:
-        return _refused(
-            name, f"tolerance {tolerance:g} is below the rounding of {dtype}" + _advice(dtype)
-        )
-    room = allowed - floor
-    settings: Settings
-    if name == "direct":
-        settings = DirectSettings()
-    elif name == "separable":
-        share = room if surface.coverage == "positions" else room / 3.0
-        sweep = bounds.separable_sweep(surface, wave, lam)
-        settings = SeparableSettings(nodes=phase.chebyshev_nodes(sweep, min(share, 1.0)))
-    else:
-        # Centred heights halve the argument: fewer terms and far less rounding.
-        total = bounds.phase_range(surface, wave, lam)
-        rounding = phase.taylor_rounding(0.5 * total, float(jnp.finfo(dtype).eps))
-        # It counts twice in the bound, as an error of the amplitude.
-        if rounding > min(0.25 * room, bounds.LARGEST_ROUNDING):
-            return _refused(
-                name,
-                f"{dtype} cannot carry Taylor terms over a phase range of {total:.1f} at this "
-                f"tolerance (rounding {rounding:.1e} of the mirror's peak)" + _advice(dtype),
-            )
-        reach = 1
-        longest = min(surface.heights.shape) // 2 - 1
-        while bounds.gather_cut(surface, reach, lam) > 0.25 * room and reach < longest:
-            reach += 1
-        terms = phase.taylor_terms(0.5 * total, room / 12.0)
-        settings = TaylorSettings(terms=terms, reach=reach, centred=True)
-    try:
-        refuse(brdf, settings)
-    except InputError as error:
-        return _refused(name, str(error))
-    priced = _priced(brdf, settings, wave, lam, count)
-    if priced.bound > allowed:
-        # A window of few pixels, say, that no gather of this patch can hold.
-        return _refused(
-            name,
-            f"the error bound {priced.bound * tolerance / allowed:.1e} of {settings} stays above "
-            f"the tolerance {tolerance:g}",
-        )
-    return priced
-
-
-def _advice(dtype) -> str:
-    return "; use float64 heights" if dtype == jnp.float32 else ""
+    return len(wi), wi[above], wo[above], Box.around(-(wi + wo)[above])
 
 
 def _reasons(found: Sequence[Candidate]) -> str:
@@ -362,28 +374,3 @@ def _reasons(found: Sequence[Candidate]) -> str:
         f"{'method' if len(names) == 1 else 'methods'} {', '.join(names)}: {why}"
         for why, names in methods.items()
     )
-
-
-def _refused(name: str, why: str) -> Candidate:
-    return Candidate(name, None, np.inf, np.inf, np.inf, refused=why)
-
-
-def _priced(brdf, settings, wave, lam, count) -> Candidate:
-    surface, cost = brdf.surface, CostModel()
-    samples, evaluations = surface.heights.size, count * len(lam)
-    averaged = surface.coverage == "positions"
-    sample = cost.positions_sample if averaged else cost.window_sample
-    setup = 0.0
-    if isinstance(settings, DirectSettings):
-        run = evaluations * samples * sample
-    elif isinstance(settings, SeparableSettings):
-        blocks = -(-count // settings.chunk)
-        products = samples * (2 if averaged else 8) * max(count, 1) * cost.product
-        run = len(lam) * settings.nodes * (blocks * samples * sample + products)
-    else:
-        setup = settings.terms * samples * cost.table_sample
-        taps = (2 * settings.reach + 1) ** 2
-        run = evaluations * (cost.evaluation + taps * settings.terms * cost.tap_term)
-    scale = 2.0 if surface.heights.dtype == jnp.float64 else 1.0
-    bound = bounds.error_bound(surface, settings, wave, lam)
-    return Candidate(settings.name, settings, bound, scale * setup, scale * run)

@@ -12,20 +12,21 @@ fixed visibility (the horizon is a mask).
 """
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Literal, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from diffopt import checks, colour, methods
+from diffopt import checks, colour, gathering, methods
 from diffopt.checks import Values
 from diffopt.errors import InputError
 from diffopt.fresnel import Constant, Reflectance
 from diffopt.heightfield import Heightfield
 from diffopt.kernels import frames
 from diffopt.kernels import prefactor as prefactors
-from diffopt.settings import DirectSettings, SeparableSettings, Settings, TaylorSettings
+from diffopt.settings import DirectSettings, GatherSettings, SeparableSettings, Settings
 
 if TYPE_CHECKING:
     from diffopt.choice import PreparedBRDF
@@ -187,11 +188,13 @@ class DiffractionBRDF(eqx.Module):
         *,
         pairs: "int | tuple[Values, Values]",
         wavelengths: Values | None = None,
-        output: Output = "spectral",
+        output: Output | str = "spectral",
         tolerance: float = 1e-3,
+        gradient: str = "none",
         method: str = "auto",
         settings: Settings | None = None,
         illuminant: colour.IlluminantLike = "D65",
+        progress: Callable[[int, int], None] | None = None,
     ) -> "PreparedBRDF":
         """Choose the cheapest method for a job; see `diffopt.choice.prepare`."""
         from diffopt.choice import prepare
@@ -202,9 +205,11 @@ class DiffractionBRDF(eqx.Module):
             wavelengths=wavelengths,
             output=output,
             tolerance=tolerance,
+            gradient=gradient,
             method=method,
             settings=settings,
             illuminant=illuminant,
+            progress=progress,
         )
 
     def mirror_reflectance(self, cos_i: Values, wavelengths: Values) -> Float[Array, "*batch L"]:
@@ -321,16 +326,30 @@ def intensity(
     wave: Float[Array, "M 3"],
     wavelengths: Float[Array, " L"],
     settings: Settings,
-    tables: Float[Array, "nyp nxp terms 2"] | None = None,
+    tables: gathering.GatherTables | None = None,
+    valid: Bool[Array, " M"] | None = None,
 ) -> Float[Array, "M L"]:
-    """|P|^2 relative to a mirror's peak by the method that `settings` belong to."""
+    """|P|^2 relative to a mirror's peak by the method that `settings` belong to.
+
+    Parameters
+    ----------
+    brdf, wave, wavelengths, settings
+        The model, wave vectors, micrometres, and settings of a method that has no bake.
+    tables
+        Of a method that gathers; made for these pairs and wavelengths if not given.
+    valid
+        Which pairs count for the range of the tables; all if not given.
+    """
     if isinstance(settings, DirectSettings):
         return methods.direct(brdf.surface, wave, wavelengths, settings)
     if isinstance(settings, SeparableSettings):
         return methods.separable_pairs(brdf.surface, wave, wavelengths, settings)
+    if not isinstance(settings, GatherSettings):
+        raise TypeError(f"no |P|^2 by settings {settings!r}")
     if tables is None:
-        tables = methods.taylor_tables(brdf.surface, settings)
-    return methods.taylor(brdf.surface, wave, wavelengths, settings, tables)
+        reached = gathering.s_range(brdf.surface, wave, wavelengths, valid)
+        tables = gathering.gather_tables(brdf.surface, settings, reached)
+    return gathering.gathered(brdf.surface, wave, wavelengths, settings, tables)
 
 
 @eqx.filter_jit
@@ -339,7 +358,7 @@ def _evaluate(brdf, wi, wo, wavelengths, weights, tables, *, settings, output):
     valid, wi, wo = frames.above_horizon(wi.reshape(-1, 3), wo.reshape(-1, 3))
     wave = frames.wave_vector(wi, wo)
     before = factors(brdf, wi, wo, wavelengths, output)
-    value = before * intensity(brdf, wave, wavelengths, settings, tables)
+    value = before * intensity(brdf, wave, wavelengths, settings, tables, valid)
     value = jnp.where(valid[:, None], value, 0.0)
     if output == "xyz":
         value = jnp.matmul(value, weights, precision="highest")
@@ -355,12 +374,13 @@ def evaluate(
     *,
     output: Output = "spectral",
     weights: Values | None = None,
-    tables: Float[Array, "nyp nxp terms 2"] | None = None,
+    tables: gathering.GatherTables | None = None,
 ) -> Float[Array, "*batch L"]:
     """Check, convert and evaluate: the one entry point that is compiled.
 
     Parameters are those of `DiffractionBRDF.__call__`, with the method's settings, the
-    output, and for ``output="xyz"`` the spectral weights [L, 3].
+    output, for ``output="xyz"`` the spectral weights [L, 3], and tables made before for a
+    method that gathers (`diffopt.gathering.gather_tables`).
     """
     dtype = brdf.surface.heights.dtype
     checks.directions("wi", wi)
@@ -382,8 +402,8 @@ def refuse(brdf: DiffractionBRDF, settings: Settings) -> None:
             f"prefactor 'kirchhoff' weights every facet by the directions: method "
             f"{settings.name!r} cannot do that, use method 'direct'"
         )
-    if isinstance(settings, TaylorSettings) and surface.coverage == "patch":
+    if isinstance(settings, GatherSettings) and surface.coverage == "patch":
         raise InputError(
-            "method 'taylor' gathers with a coherence window: received coherence=None, "
+            f"method {settings.name!r} gathers with a coherence window: received coherence=None, "
             "give coherence in micrometres or use method 'direct' or 'separable'"
         )

@@ -2,7 +2,8 @@
 
 Each takes a `Surface` (what is transformed), wave vectors [M, 3] and wavelengths [L], and
 returns |P|^2 relative to a mirror's peak, [M, L]. Their settings are in
-`diffopt.settings`, their error bounds in `diffopt.bounds`.
+`diffopt.settings`, their error bounds in `diffopt.bounds`; those that gather from tables are
+in `diffopt.gathering`.
 """
 
 from functools import partial
@@ -13,9 +14,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from diffopt.kernels import dtft, gather, phase, separable
+from diffopt.kernels import dtft, phase, separable
 from diffopt.kernels import prefactor as prefactors
-from diffopt.settings import DirectSettings, SeparableSettings, TaylorSettings
+from diffopt.settings import DirectSettings, SeparableSettings
 
 Coverage = Literal["positions", "window", "patch"]
 
@@ -209,48 +210,3 @@ def separable_grid(
     return _at_wavelength(
         surface, u / wavelength, v / wavelength, s, wavelength, settings.nodes, grid=True
     )
-
-
-def taylor_tables(surface: Surface, settings: TaylorSettings) -> Float[Array, "nyp nxp terms 2"]:
-    """The tables that `taylor` gathers from; build once for a heightfield."""
-    return gather.taylor_tables(
-        surface.heights, settings.reach, terms=settings.terms, centred=settings.centred
-    )
-
-
-def taylor(
-    surface: Surface,
-    wave: Float[Array, "M 3"],
-    wavelengths: Float[Array, " L"],
-    settings: TaylorSettings,
-    tables: Float[Array, "nyp nxp terms 2"],
-) -> Float[Array, "M L"]:
-    """|P|^2 by Taylor tables and the Gaussian gather, see `diffopt.kernels.gather`."""
-    pairs, count = wave.shape[0], wavelengths.shape[0]
-    ny, nx = surface.heights.shape
-    dy, dx = surface.pixel
-    _, scale = gather.height_scale(surface.heights, centred=settings.centred)
-
-    def one(z):
-        wave, wavelength = z
-        x = gather.axis_bins(nx, dx, wave[0] / wavelength, settings.reach)
-        y = gather.axis_bins(ny, dy, wave[1] / wavelength, settings.reach)
-        argument = phase.TWO_PI * surface.height_phase(wave) / wavelength * scale
-        if surface.coverage == "positions":
-            value = gather.averaged(
-                tables,
-                argument,
-                x,
-                y,
-                surface.spread(wavelength),
-                (ny, nx),
-                drop_mean=surface.drop_mean,
-            )
-            return value * surface.peak_loss(wavelength)
-        return gather.coherent(tables, argument, x, y, surface.sigma, surface.center)
-
-    waves = jnp.repeat(wave, count, axis=0)
-    colours = jnp.tile(wavelengths, pairs)
-    body = jax.checkpoint(one, prevent_cse=False)
-    batch = min(settings.chunk, waves.shape[0])
-    return jax.lax.map(body, (waves, colours), batch_size=batch).reshape(pairs, count)

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from diffopt.kernels.gather import taylor_coefficients
+from diffopt.kernels.expansions import taylor_coefficients
 from diffopt.kernels.phase import TWO_PI
 
 
@@ -100,8 +100,10 @@ def _bump(
     n = jnp.arange(1, terms, dtype=kappa.dtype)
     # Every power of a Gaussian is a Gaussian: the transform is known term by term.
     size = TWO_PI * sx * sy / n * jnp.exp(-0.5 * ((qx * sx) ** 2 + (qy * sy) ** 2) / n)
-    re, im = taylor_coefficients(kappa * height, terms)
-    return (re[1:] * size).sum(), (im[1:] * size).sum()
+    series = taylor_coefficients(kappa * height, terms)[1:] * size
+    # The powers of i are i, -1, -i, 1 from the first term on.
+    odd, even = series[0::2], series[1::2]
+    return even[1::2].sum() - even[0::2].sum(), odd[0::2].sum() - odd[1::2].sum()
 
 
 def random_bumps(

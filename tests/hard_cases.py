@@ -18,6 +18,7 @@ from scipy.special import gammaln
 from diffopt.kernels import (
     dtft,
     ensemble,
+    expansions,
     frames,
     fresnel,
     gather,
@@ -76,6 +77,16 @@ def _phases():
             ulps=30,
             gradient_ulps=500,  # the slope of a Chebyshev polynomial of degree 4 is up to 16
         )
+        yield Hard(
+            "phase.chebyshev_polynomials",
+            f"t={t}",
+            partial(phase.chebyshev_polynomials, count=40),
+            (t,),
+            lambda t: _polynomials(t, 40),
+            # T_n' is n^2 at the ends, and so is what rounding of t and of the recurrence makes
+            ulps=800,
+            gradient_ulps=1e6,  # T_39'' is up to 1e6
+        )
     yield Hard(
         "phase.chebyshev_points",
         "one node",
@@ -112,6 +123,13 @@ def _lagrange(t, nodes):
         others = np.delete(points, j)
         out.append(np.prod((t - others) / (points[j] - others)))
     return np.array(out)
+
+
+def _polynomials(t, count):
+    values = [LD(1), t]
+    for _ in range(count - 2):
+        values.append(2 * t * values[-1] - values[-2])
+    return np.array(values[:count])
 
 
 def _dirichlet(t, n):
@@ -313,22 +331,100 @@ def _finite(f, n, copies):
 
 def _coefficients(x, terms):
     n = np.arange(terms)
-    size = np.concatenate([[LD(1)], np.cumprod(x / n[1:])])
-    turn = np.array([1, 1j, -1, -1j])[n % 4]
-    return size * turn.real, size * turn.imag
+    return np.concatenate([[LD(1)], np.cumprod(x / n[1:])])
+
+
+def _lowrank(x, z=0.0, t=1.0):
+    """cos(z x t) + sin(z x t) by the low-rank expansion: even and odd terms."""
+    series = expansions.lowrank_series(jnp.asarray(z, x.dtype), 16)
+    nodes = series.shape[1]
+    points = phase.chebyshev_points(nodes, x.dtype)
+    values = jnp.cos(z * t * points) + jnp.sin(z * t * points)
+    matrix = series @ expansions.chebyshev_projection(nodes, x.dtype)
+    return expansions.coefficients(x, 16, series) @ (matrix @ values)
+
+
+def _interval(low, high, span):
+    size = 1 + abs(low + high) / 2
+    return (low + high) / 2, max((high - low) / 2, size / max(LD(1), 2 * PI * span * size))
 
 
 def _expansions():
     for x in (0.0, -10.0, 1e-20):
         yield Hard(
-            "gather.taylor_coefficients",
+            "expansions.taylor_coefficients",
             f"x={x}",
-            lambda x: gather.taylor_coefficients(x, 30),
+            lambda x: expansions.taylor_coefficients(x, 30),
             (x,),
             lambda x: _coefficients(x, 30),
             ulps=40,
         )
-    for name, h in (("flat", FLAT), ("rough", ROUGH)):
+    for low, high, span in ((-5.0, -1.0, 9.0), (-3.0, -3.0, 0.1), (0.0, 0.0, 0.0)):
+        yield Hard(
+            "expansions.interval",
+            f"{low}, {high}, {span}",
+            expansions.interval,
+            (low, high, span),
+            _interval,
+            smooth=False,
+        )
+    yield Hard(
+        "expansions.chebyshev_projection",
+        "a parabola",
+        lambda f: expansions.chebyshev_projection(5, f.dtype) @ f,
+        (np.cos(np.pi * (np.arange(5) + 0.5) / 5) ** 2,),
+        lambda f: np.array(
+            [
+                (2 if n else 1) * (f * np.cos(n * PI * (np.arange(5) + LD(0.5)) / 5)).mean()
+                for n in range(5)
+            ]
+        ),
+    )
+    for x in (0.0, -1.0, 1.0, 0.3):
+        yield Hard(
+            "expansions.coefficients",
+            f"x={x}",
+            partial(expansions.coefficients, terms=9),
+            (x,),
+            lambda x: _polynomials(x, 9),
+            ulps=100,
+            gradient_ulps=1e4,
+        )
+        for z in (0.0, 1e-8, 3.0) if x in (-1.0, 0.3) else ():
+            yield Hard(
+                "expansions.lowrank_series",
+                f"x={x}, z={z}",
+                partial(_lowrank, z=z, t=0.7),
+                (x,),
+                lambda x, z=z: np.cos(LD(z) * LD(0.7) * x) + np.sin(LD(z) * LD(0.7) * x),
+                # sums of 30 products, their slopes up to 30^2 times as large
+                ulps=100,
+                gradient_ulps=1e4,
+            )
+    for at in ((0.0, 0.0), (0.26, -40.1), (1e-20, 0.124)):
+        yield Hard(
+            "gather.whole_pixels",
+            f"{at}",
+            lambda p: jnp.concatenate(
+                [v.astype(p.dtype) for v in gather.whole_pixels(p, (STEP, STEP))]
+            ),
+            (np.array(at),),
+            lambda p: np.concatenate(
+                [np.round(p / LD(STEP)), p - np.round(p / LD(STEP)) * LD(STEP)]
+            ),
+            smooth=False,
+        )
+        yield Hard(
+            "gather.move_origin",
+            f"{at}",
+            lambda p: gather.move_origin(jnp.ones((8, 7, 2, 1), p.dtype), p, 1)[..., 0],
+            (np.mod(np.array(at), 0.1),),
+            _moved,
+            ulps=20,
+            gradient_ulps=400,
+        )
+    for name, h in (("flat", FLAT), ("rough", ROUGH), ("20 wavelengths", DEEP)):
+        deep = name == "20 wavelengths"
         yield Hard(
             "gather.height_scale",
             name,
@@ -338,23 +434,52 @@ def _expansions():
             smooth=False,
         )
         yield Hard(
-            "gather.taylor_tables",
+            "gather.taylor_spectra",
             name,
-            lambda h: gather.taylor_tables(h, 1, terms=3, centred=False)[1:-1, 1:-1, 0],
+            lambda h: gather.taylor_spectra(h, 3, centred=False)[0],
             (h,),
             lambda h: _delta(h.shape),
             smooth=False,
         )
+        # Phases of 40 turns round by 40 x 2 pi eps / 2.
+        options = {"ulps": 400 if deep else 40, "smooth": False}
         yield Hard(
-            "gather.gather_bins",
+            "gather.node_spectra",
             name,
-            partial(_gathered, "bins"),
-            (h, -3.0),
-            lambda h, x: _all_bins(h, x),
-            ulps=200,
-            smooth=False,
+            lambda h, s: jnp.square(gather.node_spectra(h, s)).sum(1),
+            (h, np.array([-3.6, -1.0])),
+            lambda h, s: np.stack([_power(h, v) for v in s]),
+            **options,
         )
-        for mode, twin in (("averaged", _averaged_all), ("coherent", _coherent_all)):
+        yield Hard(
+            "gather.node_powers",
+            name,
+            lambda h, s: gather.node_powers(h, s)[:, 0],
+            (h, np.array([-3.6, -1.0])),
+            lambda h, s: np.stack([_power(h, v) for v in s]),
+            **options,
+        )
+    yield Hard(
+        "gather.project",
+        "two by three",
+        lambda m, s: gather.project(m, s.reshape(3, 1, 6, 5)).ravel(),
+        (MIX, np.stack([ROUGH, FLAT, -ROUGH])),
+        lambda m, s: (m @ s.reshape(3, -1)).ravel(),
+    )
+    yield Hard(
+        "gather.table",
+        "one term",
+        lambda h: gather.table(h[None, None], 2)[:, :, 0, 0],
+        (ROUGH,),
+        lambda h: np.pad(np.fft.fftshift(h), 2, mode="wrap"),
+    )
+    for name, h in (("flat", FLAT), ("rough", ROUGH)):
+        for mode, twin in (
+            ("gather_bins", _all_bins),
+            ("gather_sum", _weighted_all),
+            ("averaged", _averaged_all),
+            ("coherent", _coherent_all),
+        ):
             yield Hard(
                 f"gather.{mode}",
                 name,
@@ -375,9 +500,18 @@ def _expansions():
         )
 
 
+MIX = np.array([[1.0, -2.0, 0.5], [0.0, 3.0, 1e-3]])
+
+
+def _moved(p):
+    (cy, sy), (cx, sx) = (_turn(-(np.arange(n) - n // 2) * v) for n, v in ((8, p[0]), (7, p[1])))
+    factor = (cy + 1j * sy)[:, None] * (cx + 1j * sx)[None, :] * (1 + 1j)
+    return np.stack([factor.real, factor.imag], -1)
+
+
 def _delta(shape):
-    out = np.zeros((*shape, 2), LD)
-    out[shape[0] // 2, shape[1] // 2, 0] = 1
+    out = np.zeros((2, *shape), LD)
+    out[0, 0, 0] = 1
     return out
 
 
@@ -390,14 +524,19 @@ def _scaled(h, x):
 def _gathered(mode, h, x):
     """All bins (reach 2 of a 5 x 5 patch) around zero frequency."""
     h = h[:5]
-    tables = gather.taylor_tables(h, 2, terms=24, centred=False)
+    tables = gather.table(gather.taylor_spectra(h, 24, centred=False), 2)
+    a = expansions.taylor_coefficients(x, 24)
     bins = gather.axis_bins(5, STEP, jnp.zeros((), h.dtype), 2)
-    if mode == "bins":
-        return gather.gather_bins(tables, x, (bins[0], bins[0]), taps=5)
     width = jnp.asarray(0.6, h.dtype)
+    if mode == "gather_bins":
+        out = gather.gather_bins(tables, a, (bins[0], bins[0]), taps=5)
+        return out[..., 0], out[..., 1]
+    if mode == "gather_sum":
+        w = jnp.arange(1, 6).astype(h.dtype)
+        return gather.gather_sum(tables, a, (bins[0], bins[0]), w, 0.5 * w)
     if mode == "averaged":
-        return gather.averaged(tables, x, bins, bins, width, (5, 5))
-    return gather.coherent(tables, x, bins, bins, width, jnp.zeros(2, h.dtype))
+        return gather.averaged(tables, a, bins, bins, width)
+    return gather.coherent(tables, a, bins, bins, width)
 
 
 def _spectrum(h, x):
@@ -412,6 +551,12 @@ def _spectrum(h, x):
 def _all_bins(h, x):
     c = _spectrum(h, x)
     return c.real, c.imag
+
+
+def _weighted_all(h, x):
+    w = np.arange(1, 6)
+    c = w @ _spectrum(h, x) @ w / 2
+    return np.array([c.real, c.imag])
 
 
 def _averaged_all(h, x):

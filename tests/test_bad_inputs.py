@@ -215,6 +215,36 @@ def test_unusable_commands(words, match, capsys):
     check_refusal(words, match, capsys)
 
 
+# content of ring.obj, options, what the message says
+MESHES = {
+    "missing": (None, [], "ring.obj: no such file"),
+    "points": ("v 0 0 0\nv 1 0 0\n", [], "ring.obj: no faces; found 2 points, expected triangles"),
+    "flat": ("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", [], "none of the 1 faces has an area"),
+    "words": (..., ["--mesh-light", "left"], "--mesh-light must be a direction X,Y,Z, .*'left'"),
+    "two": (..., ["--mesh-direction", "1,0"], "--mesh-direction must be .* received '1,0'"),
+    "zero": (..., ["--mesh-up", "0,0,0"], "--mesh-up must be a direction .* not all 0"),
+    "infinite": (..., ["--mesh-eye", "inf,0,0"], "--mesh-eye must be a direction"),
+    "upwards": (..., ["--mesh-eye", "0,2,0"], "--mesh-eye 0,2,0 lies along the upward direction"),
+    "turn": (..., ["--mesh-turn", "nan"], "--mesh-turn must be a number of degrees"),
+}
+
+
+@pytest.mark.parametrize("case", MESHES)
+def test_unusable_meshes(case, tmp_path, capsys):
+    content, options, match = MESHES[case]
+    path = tmp_path / "ring.obj"
+    if content is not None:
+        path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n" if content is ... else content)
+    words = ["diffraction", "sample:flat", "--mesh", str(path), *options]
+    check_refusal([*words, "-o", str(tmp_path / "out")], match, capsys)
+    assert not (tmp_path / "out").exists()
+
+
+def test_options_of_a_mesh_without_one(capsys):
+    words = ["diffraction", "sample:flat", "--mesh-turn", "3"]
+    check_refusal(words, "--mesh-turn needs --mesh FILE", capsys)
+
+
 def test_the_folder_of_results_is_a_file(tmp_path, capsys):
     for target in (tmp_path / "out", tmp_path / "out" / "deeper"):
         (tmp_path / "out").write_text("mine")

@@ -112,6 +112,60 @@ def test_numbers_are_those_of_the_model(finished, scan_file):
 
 
 @pytest.mark.slow
+def test_a_mesh_is_drawn_and_described(scan_file, tmp_path, capsys):
+    import trimesh
+
+    made = trimesh.creation.torus(2.0, 0.8, major_sections=40, minor_sections=20)
+    made.export(tmp_path / "ring.stl")
+    target = tmp_path / "out"
+    words = ["--size", "32", "--coherence", "1.0", "--mesh", str(tmp_path / "ring.stl")]
+    words += ["--mesh-up", "0,0,1", "--mesh-turn", "30", "--mesh-light", "-1,0,2"]
+    assert main(["diffraction", str(scan_file), *words, "-o", str(target)]) == 0
+    assert {p.name for p in target.iterdir()} == PICTURES | NUMBERS | {"mesh.png"}
+    with PIL.Image.open(target / "mesh.png") as image:
+        assert image.size == (32, 32)
+        assert np.asarray(image.convert("RGB"), np.float64).std() > 2.0
+    summary = json.loads((target / "result.json").read_text())
+    mesh = summary["mesh"]
+    assert (mesh["file"], mesh["vertices"], mesh["faces"]) == ("ring.stl", 800, 1600)
+    assert mesh["turn"] == 30.0
+    assert "circles around the upward axis (no texture" in mesh["tangents"]
+    np.testing.assert_allclose(mesh["light"], np.array([-1, 0, 2]) / np.sqrt(5))
+    np.testing.assert_allclose(mesh["camera"]["target"], 0.0, atol=1e-6)
+    assert mesh["camera"]["up"] == [0.0, 0.0, 1.0]
+    assert mesh["camera"]["eye"][2] > 0
+    assert 0.5 < mesh["lit_share"] < 1.0
+    assert "mesh" in summary["times"]
+    assert "note: ring.stl: the scan's x axis, turned by 30 degrees" in capsys.readouterr().out
+
+
+def test_meshes_follow_their_texture_or_a_direction(tmp_path):
+    from diffopt.cli import meshes
+
+    path = tmp_path / "sheet.obj"
+    corners = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 0 1\nvt 1 1\nvt 1 0\n"
+    path.write_text(corners + "f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n")
+    # u grows along y.
+    subject = meshes.prepare(meshes.Words(str(path), mesh_eye="0,0,1", mesh_light="0,0,-3"))
+    assert subject.tangents == "follows u of the texture"
+    shot = subject.shoot(16)
+    seen = shot.view.covered
+    np.testing.assert_allclose(shot.view.tangent[seen], [[0, 1, 0]] * seen.sum(), atol=1e-12)
+    assert shot.notes()[-1] == "sheet.obj: the light reaches nothing that is seen"
+    along = meshes.Words(str(path), 90.0, "1,0,1", mesh_eye="0,0,1")
+    # Its projection is x; a quarter turn of the material puts y there.
+    shot = meshes.prepare(along).shoot(16)
+    np.testing.assert_allclose(shot.view.tangent[seen], [[0, -1, 0]] * seen.sum(), atol=1e-12)
+    assert shot.summary()["tangents"] == "follows the direction 1,0,1"
+    back = meshes.prepare(meshes.Words(str(path), mesh_eye="0,0,-1")).shoot(16)
+    assert "100 % of what is seen are backs of faces" in back.notes()[1]
+    path.write_text(
+        corners.replace("vt 1 1", "vt 0 0").replace("vt 1 0", "vt 0 0") + "f 1/1 3/3 4/4\n"
+    )
+    assert "degenerate" in meshes.prepare(meshes.Words(str(path))).tangents
+
+
+@pytest.mark.slow
 def test_summary_is_printed(scan_file, tmp_path, capsys):
     words = ["--average", "window", "--dtype", "float64", "--size", "16", "--coherence", "4"]
     words += ["--illuminant", "A", "--balance", "peak", "--method", "direct", "--level", "none"]
@@ -257,6 +311,7 @@ def test_bugs_keep_their_traceback(monkeypatch, scan_file, tmp_path):
 
 def test_the_command_line_imports_nothing_slow():
     slow = ("matplotlib", "colour", "skimage", "scipy.signal", "tifffile", "SurfaceTopography")
+    slow += ("trimesh", "embreex")
     code = f"import sys, diffopt.cli; print([m for m in {slow!r} if m in sys.modules])"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60

@@ -104,6 +104,35 @@ def test_turning_the_material_puts_a_direction_on_the_old_x_axis():
     np.testing.assert_allclose(local, np.broadcast_to(expected, local.shape), atol=1e-12)
 
 
+@pytest.mark.parametrize("name", ["sphere", "sheet", "disc"])
+def test_wide_frames_show_the_square_picture_in_their_middle(name):
+    make = getattr(shapes, name)
+    square = make(36)
+    for size, part in (((36, 64), np.s_[:, 14:50]), ((50, 36), np.s_[7:43, :])):
+        wide = make(size)
+        assert wide.covered.shape == size
+        assert wide.covered.sum() >= square.covered.sum()
+        for field in ("position", "tangent", "normal", "eye"):
+            # Roundoff: the square pixels are counted from other ends.
+            np.testing.assert_allclose(
+                getattr(wide, field)[part], getattr(square, field), atol=1e-9, err_msg=field
+            )
+        np.testing.assert_array_equal(wide.covered[part], square.covered)
+
+
+def test_a_camera_needs_a_direction():
+    eye = np.array([0.0, 3.0, 0.0])
+    with pytest.raises(InputError, match=r"a camera at 0,3,0 that looks at 0,0,0 with 0,1,0 up"):
+        shapes.camera(8, eye, np.zeros(3), half_width=1.0)
+    with pytest.raises(InputError, match="expected different places"):
+        shapes.axes(eye, eye, np.array([0.0, 0.0, 1.0]))
+    axes = shapes.axes(eye, np.array([0.0, 0.0, 2.0]), np.array([0.0, 1.0, 0.0]))
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(axes) == pytest.approx(1.0)
+    np.testing.assert_allclose(axes[2], shapes.unit(np.array([0.0, 3.0, -2.0])), atol=1e-12)
+    assert axes[1, 1] > 0.0
+
+
 def test_unusable_geometry_is_refused():
     with pytest.raises(InputError, match="bend_deg=200: expected degrees above 0, at most 180"):
         shapes.sheet(16, bend_deg=200.0)
@@ -111,3 +140,5 @@ def test_unusable_geometry_is_refused():
         shapes.disc(16, eye=(0.0, 100.0, -1.0))
     with pytest.raises(InputError, match="size=1: expected at least 2"):
         shapes.sphere(1)
+    with pytest.raises(InputError, match=r"size=\(1, 9\): expected at least 2"):
+        shapes.sphere((1, 9))

@@ -7,6 +7,11 @@
 `diffraction`             studies of the diffraction methods
 `validity`                the scalar models against rigorous optics
 `measurement`             cost of a compiled function
+`comparison`              every method on one job, in one run
+`ranking`                 its rows: table, files, who beats whom
+`contenders`              how its methods are set up, timed and judged
+`tuning`                  those that are tuned on the truth
+`nufft`                   the non-uniform FFT as a contender
 `benchmarks`              the protocol of the benchmarks
 `diffraction_benchmarks`  benchmarks of the diffraction methods
 ========================  =====================================================

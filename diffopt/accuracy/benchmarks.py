@@ -24,6 +24,7 @@ NAMES: dict[str, str] = {
     "derivative": "diffopt.accuracy.diffraction_benchmarks:DERIVATIVE",
     "direct.positions": "diffopt.accuracy.diffraction_benchmarks:DIRECT_POSITIONS",
     "direct.window": "diffopt.accuracy.diffraction_benchmarks:DIRECT_WINDOW",
+    "frames": "diffopt.accuracy.frame_benchmarks:FRAMES",
     "separable.grid": "diffopt.accuracy.diffraction_benchmarks:SEPARABLE_GRID",
     "separable.pairs": "diffopt.accuracy.diffraction_benchmarks:SEPARABLE_PAIRS",
     "taylor.gather": "diffopt.accuracy.diffraction_benchmarks:TAYLOR_GATHER",
@@ -51,6 +52,8 @@ class Entry:
         Units of work in one run, and what a unit is: the note gives nanoseconds for each.
     gradient
         Position of the argument whose gradient is timed, or None.
+    rate
+        Whether the note gives the units in a second as well.
     """
 
     variant: str
@@ -61,6 +64,7 @@ class Entry:
     unit: str
     gradient: int | None = None
     dtype: str = "float32"
+    rate: bool = False
 
 
 @dataclass(frozen=True)
@@ -183,6 +187,8 @@ def _run(benchmark: Benchmark, size: str, repeats: int) -> list[Result]:
             note="",
         )
         note = f"{run_s / entry.work * 1e9:.3g} ns per {entry.unit}"
+        if entry.rate:
+            note = f"{entry.work / run_s:.3g} {entry.unit}s per second, {note}"
         if benchmark.alternatives:
             note += _compared(result, first.setdefault(entry.shape, result))
         results.append(Result(**{**vars(result), "note": note}))

@@ -1,4 +1,4 @@
-"""Studies of the diffraction methods: terms, window, patch, wavelength step, nodes, rounding.
+"""Studies of the diffraction methods: window, patch, nodes, rounding.
 
 Inputs are the same on every machine and with either type: heights are drawn in float64 and
 rounded to float32 once, so that both types see the same surface. Directions and wavelengths
@@ -6,15 +6,12 @@ are rounded by each type for itself, as they are for a caller.
 """
 
 import functools
-import math
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from diffopt import colour, samples
+from diffopt import samples
 from diffopt.accuracy.jobs import (
-    SHORTEST,
     WAVELENGTHS,
     hard_and_random,
     stack_job,
@@ -22,66 +19,13 @@ from diffopt.accuracy.jobs import (
     wave_vectors,
 )
 from diffopt.accuracy.studies import Case, Job, Study
-from diffopt.diffraction import DiffractionBRDF, evaluate
+from diffopt.diffraction import DiffractionBRDF
 from diffopt.heightfield import Heightfield
-from diffopt.kernels import phase
 from diffopt.methods import Coverage
 from diffopt.settings import DirectSettings, SeparableSettings, TaylorSettings
 
 DIRECT = "the direct sum in float64"
 TO_PEAK = "largest error of |P|^2 relative to a mirror's peak"
-
-
-def _terms(quick: bool) -> list[Case]:
-    pixel, sigma, n = 0.1, 1.6, 64  # 4 sigma_s a side: 6 bins leave less than 1e-20 out
-    wave = wave_vectors(31)
-    # Rounding of the terms hangs on the very argument: a few wavelengths find a bad one.
-    wavelengths = np.linspace(SHORTEST, 1.05 * SHORTEST, 8)
-    ranges = (1.0, 10.0) if quick else (1.0, 1.5 * math.pi, 10.0, 30.0)
-    counts = (12, 28) if quick else (8, 12, 20, 28, 40, 60, 90)
-
-    @functools.cache
-    def expected(x):
-        return truth(hard_and_random(x, n), pixel, sigma, "window", wave, wavelengths)
-
-    def case(x, dtype, centred, terms):
-        settings = TaylorSettings(terms=terms, reach=6, centred=centred)
-        return Case(
-            {"phase_range": round(x, 3), "dtype": dtype, "centred": centred, "terms": terms},
-            dtype,
-            lambda: stack_job(
-                hard_and_random(x, n),
-                pixel,
-                sigma,
-                "window",
-                wave,
-                settings,
-                dtype,
-                wavelengths=wavelengths,
-                reference=expected(x),
-                names=("binary", "random"),
-            ),
-            (dtype, centred, terms),
-        )
-
-    return [
-        case(x, dtype, centred, terms)
-        for x in ranges
-        for dtype in (("float32",) if quick else ("float32", "float64"))
-        for centred in (False, True)
-        for terms in counts
-        # Below this the terms have not begun to fall: there is no picture at all.
-        if phase.taylor_bound(0.5 * x if centred else x, terms) < 1.0
-    ]
-
-
-TERMS = Study(
-    name="diffraction.terms",
-    quantity=f"Taylor terms of exp(i k w h), {TO_PEAK}; time with the tables",
-    reference=DIRECT,
-    cases=_terms,
-    conditions=("phase_range",),
-)
 
 
 @functools.cache
@@ -171,75 +115,6 @@ PATCH = Study(
     "beside it the estimate patch_error()",
     reference=f"{DIRECT} on the surface, 16 sigma_s wide",
     cases=_patch,
-)
-
-
-def _step(quick: bool) -> list[Case]:
-    period, pixel, n = 2.0, 0.0625, 512
-    line = 0.1 * np.cos(2.0 * np.pi * (np.arange(n) - n // 2) * pixel / period)
-    heights = np.broadcast_to(line, (2, n)).astype(np.float32)
-    u = np.linspace(-0.95, 0.95, 48 if quick else 191)
-    wo = np.stack([u, 0.0 * u, np.sqrt(1.0 - u**2)], -1)
-    wi = np.array([0.0, 0.0, 1.0])
-
-    def brdf(sigma, dtype):
-        # Nothing varies along y: two samples there, sigma_s apart, hold the window.
-        scan = Heightfield(jnp.asarray(heights, dtype), pixel=(sigma, pixel))
-        return DiffractionBRDF(scan, sigma, balance="peak")
-
-    def xyz(model, wo, wavelengths, weights):
-        return evaluate(
-            model,
-            jnp.asarray(wi, wo.dtype),
-            wo,
-            wavelengths,
-            DirectSettings(),
-            output="xyz",
-            weights=weights,
-        )
-
-    @functools.cache
-    def expected(sigma):
-        with jax.enable_x64(True):
-            rule = colour.ColourSettings(step_nm=1.0).quadrature()
-            return np.asarray(jax.jit(xyz)(brdf(sigma, "float64"), wo, *rule))
-
-    def case(sigma, step, bands, count):
-        settings = colour.ColourSettings(step_nm=step, bands=bands, samples=count)
-
-        def judge(value):
-            value, right = np.asarray(value, np.float64), expected(sigma)
-            error = np.abs(value - right)
-            difference = colour.delta_e_2000(right, value)
-            return float(error.max() / right.max()), (
-                f"mean over mean {error.mean() / right.mean():.1e}, delta E 2000 "
-                f"mean {difference.mean():.2g} max {difference.max():.2g}"
-            )
-
-        def build():
-            rule = [jnp.asarray(a, "float32") for a in settings.quadrature()]
-            arguments = (brdf(sigma, "float32"), jnp.asarray(wo, "float32"), *rule)
-            return Job(xyz, arguments, judge)
-
-        name = f"{step:g} nm" if bands == "full" else f"three bands x {count}"
-        return Case({"sigma_um": sigma, "wavelengths": name}, "float32", build)
-
-    rules = [(5.0, "full", 1), (20.0, "full", 1), (5.0, "three", 1)]
-    if not quick:
-        rules = [(s, "full", 1) for s in (1.0, 2.0, 2.5, 5.0, 10.0, 20.0)]
-        rules += [(5.0, "three", 1), (5.0, "three", 2)]
-    return [
-        case(sigma, *rule) for sigma in ((5.0,) if quick else (1.25, 5.0, 16.0)) for rule in rules
-    ]
-
-
-STEP = Study(
-    name="diffraction.step",
-    quantity="wavelength step for a sinusoidal grating (period 2 um, amplitude 0.1 um) seen in "
-    "its plane, largest error of XYZ over the largest XYZ",
-    reference="the same in float64 at 1 nm, the step of the tables",
-    cases=_step,
-    conditions=("sigma_um",),
 )
 
 

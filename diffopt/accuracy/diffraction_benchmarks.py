@@ -11,12 +11,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diffopt import colour, methods
+from diffopt import colour, gathering, methods
 from diffopt.accuracy.benchmarks import Benchmark, Entry
 from diffopt.accuracy.jobs import hard_and_random, make_surface, wave_vectors
 from diffopt.kernels import dtft, phase, spectrum
 from diffopt.methods import Coverage, Surface
-from diffopt.settings import DirectSettings, SeparableSettings, TaylorSettings
+from diffopt.settings import (
+    ChebyshevSettings,
+    DirectSettings,
+    GatherSettings,
+    LowRankSettings,
+    SeparableSettings,
+    TaylorSettings,
+)
 
 PIXEL = 0.05
 PHASE_RANGE = 5.0
@@ -189,7 +196,8 @@ def _taylor_tables(size: str) -> list[Entry]:
         surface = _surface(side, "window")
 
         def run(surface):
-            return methods.taylor_tables(surface, TaylorSettings(terms=terms, reach=7))
+            settings = TaylorSettings(terms=terms, reach=7)
+            return gathering.gather_tables(surface, settings, jnp.zeros(2, "float32")).values
 
         found.append(
             Entry(
@@ -204,29 +212,58 @@ def _taylor_tables(size: str) -> list[Entry]:
     return found
 
 
-def _taylor_gather(size: str) -> list[Entry]:
-    wave, wavelengths = _job(512, 4)
-    found = []
-    for side in _sides(size):
-        surface = _surface(side, "window")
-        for terms, reach in ((12, 3), (24, 3), (24, 7)):
-            settings = TaylorSettings(terms=terms, reach=reach)
-            tables = methods.taylor_tables(surface, settings)
+def _gather(
+    variants: Callable[[], dict[str, tuple[Coverage, GatherSettings]]],
+) -> Callable[[str], list[Entry]]:
+    """Entries that gather 2048 times from tables made before."""
 
-            def run(surface, wave, wavelengths, tables, settings=settings):
-                return methods.taylor(surface, wave, wavelengths, settings, tables)
+    def entries(size: str) -> list[Entry]:
+        wave, wavelengths = _job(512, 4)
+        found = []
+        for side in _sides(size):
+            for name, (coverage, settings) in variants().items():
+                surface = _surface(side, coverage)
+                reached = gathering.s_range(surface, wave, wavelengths)
+                tables = gathering.gather_tables(surface, settings, reached)
 
-            found.append(
-                Entry(
-                    f"{terms} terms, reach {reach}",
-                    run,
-                    (surface, wave, wavelengths, tables),
-                    f"{side}x{side}, 2048 evaluations",
-                    2048,
-                    "evaluation",
+                def run(surface, wave, wavelengths, tables, settings=settings):
+                    return gathering.gathered(surface, wave, wavelengths, settings, tables)
+
+                found.append(
+                    Entry(
+                        name,
+                        run,
+                        (surface, wave, wavelengths, tables),
+                        f"{side}x{side}, 2048 evaluations",
+                        2048,
+                        "evaluation",
+                    )
                 )
-            )
-    return found
+        return found
+
+    return entries
+
+
+def _taylor_variants() -> dict[str, tuple[Coverage, GatherSettings]]:
+    return {
+        f"{terms} terms, reach {reach}, {coverage}": (coverage, TaylorSettings(terms, reach))
+        for coverage in ("window", "positions")
+        for terms, reach in ((12, 3), (24, 3), (24, 7))
+    }
+
+
+def _expansion_variants() -> dict[str, tuple[Coverage, GatherSettings]]:
+    """Terms for 1e-4 at the phase range of these surfaces."""
+    counts: dict[Coverage, tuple[int, int]] = {"window": (7, 6), "positions": (10, 8)}
+    return {
+        f"{settings.name}, {settings.terms} terms, reach {reach}, {coverage}": (coverage, settings)
+        for coverage, (chebyshev, lowrank) in counts.items()
+        for reach in (3, 7)
+        for settings in (
+            ChebyshevSettings(chebyshev, reach),
+            LowRankSettings(lowrank, reach),
+        )
+    }
 
 
 def _colour(size: str) -> list[Entry]:
@@ -265,5 +302,10 @@ SEPARABLE_GRID = Benchmark(
     "separable.grid", "matrix products for a grid of directions", _separable_grid
 )
 TAYLOR_TABLES = Benchmark("taylor.tables", "Taylor tables of a heightfield", _taylor_tables)
-TAYLOR_GATHER = Benchmark("taylor.gather", "gather from Taylor tables", _taylor_gather)
+TAYLOR_GATHER = Benchmark("taylor.gather", "gather from Taylor tables", _gather(_taylor_variants))
+EXPANSION_GATHER = Benchmark(
+    "expansion.gather",
+    "gather from tables of Chebyshev and low-rank expansions",
+    _gather(_expansion_variants),
+)
 COLOUR = Benchmark("colour.xyz", "XYZ of spectra", _colour)

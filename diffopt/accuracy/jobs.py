@@ -8,16 +8,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diffopt import bounds, methods
+from diffopt import bounds, gathering, methods
 from diffopt.accuracy.studies import Job
 from diffopt.choice import sample_pairs
 from diffopt.kernels import phase
 from diffopt.methods import Coverage, Surface
-from diffopt.settings import DirectSettings, SeparableSettings, Settings
+from diffopt.settings import DirectSettings, GatherSettings, SeparableSettings
 
 # The shortest visible wavelength has the largest phases.
 SHORTEST = 0.38
 WAVELENGTHS = np.array([SHORTEST])
+
+Method = DirectSettings | SeparableSettings | GatherSettings
 
 
 def make_surface(
@@ -55,18 +57,19 @@ def wave_vectors(count: int) -> np.ndarray:
     return np.append(-(wi + wo), [[0.0, 0.0, -2.0]], 0)
 
 
-def method(surface: Surface, wave, wavelengths, settings: Settings):
+def method(surface: Surface, wave, wavelengths, settings: Method):
     """|P|^2 by the method of the settings, with everything it sets up."""
     if isinstance(settings, DirectSettings):
         return methods.direct(surface, wave, wavelengths, settings)
     if isinstance(settings, SeparableSettings):
         return methods.separable_pairs(surface, wave, wavelengths, settings)
-    tables = methods.taylor_tables(surface, settings)
-    return methods.taylor(surface, wave, wavelengths, settings, tables)
+    reached = gathering.s_range(surface, wave, wavelengths)
+    tables = gathering.gather_tables(surface, settings, reached)
+    return gathering.gathered(surface, wave, wavelengths, settings, tables)
 
 
 def over_stack(
-    pixel: float, coverage: Coverage, settings: Settings
+    pixel: float, coverage: Coverage, settings: Method
 ) -> Callable[[Any, Any, Any, Any], Any]:
     """Function of (heights [S, ny, nx], sigma, wave, wavelengths): |P|^2 [S, M, L]."""
 
@@ -105,7 +108,7 @@ def stack_job(
     sigma: float,
     coverage: Coverage,
     wave: np.ndarray,
-    settings: Settings,
+    settings: Method,
     dtype: str,
     *,
     wavelengths: np.ndarray = WAVELENGTHS,

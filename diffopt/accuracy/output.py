@@ -74,31 +74,48 @@ def plot(result: Any, path: str | os.PathLike | None) -> Any:
 
 
 def plot_against(result: Any, name: str, path: str | os.PathLike | None) -> Any:
-    """Error against one condition, a panel for each of the others, a line for each setting."""
+    """Error against one setting, a panel for each problem, a line for all other settings.
+
+    A setting that is a condition itself joins the problems along it. Bounds are dashed;
+    errors beyond 10 are left out.
+    """
     from matplotlib.figure import Figure
 
     others = [n for n in result.study.conditions if n != name]
-    panels: dict[str, dict[str, list[tuple[float, float]]]] = {}
+    panels: dict[str, dict[str, list[Any]]] = {}
     for row in result.rows:
         panel = label({n: row.settings[n] for n in others})
-        line = ", ".join(
-            _text(v) for n, v in row.settings.items() if n not in result.study.conditions
+        apart = {n: v for n, v in row.settings.items() if n not in (*others, name)}
+        panels.setdefault(panel, {}).setdefault(", ".join(map(_text, apart.values())), []).append(
+            row
         )
-        points = panels.setdefault(panel, {}).setdefault(line, [])
-        points.append((float(row.settings[name]), max(row.error, 1e-16)))
+    lines = list(dict.fromkeys(itertools.chain.from_iterable(panels.values())))
     columns = min(3, len(panels))
-    figure = Figure(figsize=(3.2 * columns, 2.8 * -(-len(panels) // columns)), layout="constrained")
+    figure = Figure(figsize=(3.6 * columns, 3.0 * -(-len(panels) // columns)), layout="constrained")
     grid = figure.subplots(-(-len(panels) // columns), columns, sharey=True, squeeze=False)
     for axes in grid.flat[len(panels) :]:
         axes.set_axis_off()
-    for axes, (title, lines) in zip(grid.flat, panels.items(), strict=False):
-        for text, points in lines.items():
-            axes.plot(*zip(*sorted(points), strict=True), marker="o", ms=3, lw=1, label=text)
+    handles: dict[str, Any] = {}
+    for axes, (title, drawn) in zip(grid.flat, panels.items(), strict=False):
+        for text, rows in drawn.items():
+            rows = sorted(rows, key=lambda row: row.settings[name])
+            x = [float(row.settings[name]) for row in rows]
+            style = {"color": f"C{lines.index(text) % 10}", "lw": 1}
+            (handles[text],) = axes.plot(
+                x, [max(row.error, 1e-16) for row in rows], marker="o", ms=3, **style
+            )
+            known = [(v, row.bound) for v, row in zip(x, rows, strict=True) if row.bound]
+            if known:
+                axes.plot(*zip(*known, strict=True), ls=":", **style)
         axes.set(yscale="log", xlabel=name)
+        x = [float(row.settings[name]) for rows in drawn.values() for row in rows]
+        if max(x) > 8.0 * min(x) > 0.0:
+            axes.set_xscale("log")
         axes.set_title(title, fontsize=8)
-    grid[0, 0].legend(fontsize=6)
+        axes.set_ylim(top=min(axes.get_ylim()[1], 10.0))
+    figure.legend(handles.values(), handles.keys(), fontsize=7, loc="outside lower center", ncols=4)
     for axes in grid[:, 0]:
-        axes.set_ylabel("error")
+        axes.set_ylabel("error (dotted: bound)" if any(r.bound for r in result.rows) else "error")
     figure.suptitle(f"{result.study.name}: {result.study.quantity}", fontsize=8, wrap=True)
     return _saved(figure, path)
 

@@ -24,12 +24,15 @@ from diffopt.errors import InputError
 
 # Where each study is defined; modules are imported when a study is asked for.
 NAMES: dict[str, str] = {
+    "diffraction.coherence": "diffopt.accuracy.table_studies:COHERENCE",
+    "diffraction.expansion": "diffopt.accuracy.expansion_studies:EXPANSION",
+    "diffraction.fresnel": "diffopt.accuracy.spectral_studies:FRESNEL",
     "diffraction.nodes": "diffopt.accuracy.diffraction:NODES",
     "diffraction.patch": "diffopt.accuracy.diffraction:PATCH",
     "diffraction.rounding": "diffopt.accuracy.diffraction:ROUNDING",
     "diffraction.scalar": "diffopt.accuracy.validity:SCALAR",
-    "diffraction.step": "diffopt.accuracy.diffraction:STEP",
-    "diffraction.terms": "diffopt.accuracy.diffraction:TERMS",
+    "diffraction.table": "diffopt.accuracy.table_studies:TABLE",
+    "diffraction.wavelengths": "diffopt.accuracy.spectral_studies:SPECTRUM",
     "diffraction.window": "diffopt.accuracy.diffraction:WINDOW",
 }
 
@@ -133,8 +136,8 @@ class Study:
         Names among the settings that state the problem instead of the approximation: only
         rows with equal conditions compete with each other.
     against
-        Number among the conditions that the plot is drawn against, where run time does not
-        tell the approximations apart; None: against run time.
+        Number among the settings that the plot is drawn against, where run time does not
+        tell the approximations apart, with a panel for each problem; None: against run time.
     """
 
     name: str
@@ -288,7 +291,7 @@ class StudyResult:
         -------
         matplotlib.figure.Figure
             With a line along the front of each problem; for a study drawn against one of
-            its conditions, a panel for each of the others.
+            its settings, a panel for each problem and a line for each other setting.
         """
         if self.study.against is not None:
             return output.plot_against(self, self.study.against, path)

@@ -7,6 +7,7 @@
 `results`         its ``result.npz`` and ``result.json``
 `demo`            ``diffopt demo``: all pictures of an embedded disc, as a page
 `studying`        ``diffopt accuracy`` and ``diffopt bench``
+`comparing`       ``diffopt compare``
 `inspection`      ``diffopt samples`` and ``diffopt info``
 `limits`          refusal of files that claim to be enormous
 `output`          folders that are complete or absent

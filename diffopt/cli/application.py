@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from diffopt import __version__
-from diffopt.cli import demo, diffraction, errors, inspection, studying
+from diffopt.cli import comparing, demo, diffraction, errors, inspection, studying
 from diffopt.errors import InputError
 
 app = typer.Typer(
@@ -22,6 +22,7 @@ app = typer.Typer(
 app.command("diffraction")(diffraction.command)
 app.command("demo")(demo.command)
 app.command("accuracy")(studying.accuracy)
+app.add_typer(comparing.app, name="compare")
 app.command("bench")(studying.bench)
 app.command("samples")(inspection.samples)
 app.command("info")(inspection.info)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from diffopt.cli import meshes as mesh_options
 from diffopt.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,9 +17,9 @@ if TYPE_CHECKING:
     from diffopt.cli.progress import Stages
     from diffopt.drawing import shapes, views
 
-#: Pictures of every scan, in the order in which they are made.
+#: Pictures of every scan, in the order in which they are made; a mesh adds ``mesh.png``.
 PICTURES = ("scan.png", "in_plane.png", "hemisphere.png", "sphere.png", "sheet.png")
-#: Stages of `produce`.
+#: Stages of `produce`, one more with a mesh.
 STAGES = 5
 # Samples on each axis of a pixel of a lit object.
 SUPERSAMPLING = 2
@@ -79,11 +80,17 @@ def command(
         bool,
         typer.Option("--allow-coarse", help="Go on where the pixel is too coarse for wide angles."),
     ] = False,
+    mesh: mesh_options.File = None,
+    mesh_turn: mesh_options.Turn = None,
+    mesh_direction: mesh_options.Direction = None,
+    mesh_light: mesh_options.Light = None,
+    mesh_eye: mesh_options.Eye = None,
+    mesh_up: mesh_options.Up = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Folder. [default: out/NAME]")
     ] = None,
 ) -> None:
-    """Colours of a scan: hemisphere map, in-plane spectra, a lit sphere and a bent sheet."""
+    """Colours of a scan: hemisphere map, in-plane spectra, a lit sphere, a bent sheet, a mesh."""
     from diffopt.cli.options import Appearance, Source, name
 
     source = Source(file, pixel_size, height_range, height_unit, channel, level, fill, key)
@@ -102,10 +109,16 @@ def command(
         size=size,
         allow_coarse=allow_coarse,
     )
-    run(source, options, Path("out") / name(file) if output is None else output)
+    words = mesh_options.Words(mesh, mesh_turn, mesh_direction, mesh_light, mesh_eye, mesh_up)
+    run(source, options, Path("out") / name(file) if output is None else output, words)
 
 
-def run(source: "Source", options: "Appearance", target: Path) -> None:
+def run(
+    source: "Source",
+    options: "Appearance",
+    target: Path,
+    words: mesh_options.Words | None = None,
+) -> None:
     """Do it all for one scan, print the summary, and leave the results in `target`.
 
     Raises
@@ -119,10 +132,13 @@ def run(source: "Source", options: "Appearance", target: Path) -> None:
     from diffopt.cli.output import folder
     from diffopt.cli.progress import stages
 
-    with precision(options.dtype), folder(target) as staging, stages(STAGES) as progress:
+    words = mesh_options.Words() if words is None else words
+    count = STAGES + (words.mesh is not None)
+    with precision(options.dtype), folder(target) as staging, stages(count) as progress:
         with user_input():
+            subject = mesh_options.prepare(words)
             job = prepare_job(source, options)
-        content = produce(job, staging, progress)
+        content = produce(job, staging, progress, subject)
         results.write_summary(staging / "result.json", content)
     tell(content, target)
 
@@ -140,28 +156,36 @@ def precision(dtype: str) -> Iterator[None]:
         yield
 
 
-def produce(job: "Job", folder: Path, stages: "Stages") -> dict[str, Any]:
+def produce(
+    job: "Job", folder: Path, stages: "Stages", subject: mesh_options.Subject | None = None
+) -> dict[str, Any]:
     """Compute and draw everything into a folder; gives the summary of ``result.json``."""
     from diffopt.cli import results
     from diffopt.drawing import pictures, shapes, views
 
     options, light = job.options, job.illuminant
-    with stages.stage("in-plane spectra"):
-        cut = spectra(job)
-    with stages.stage("hemisphere") as report:
-        wi = views.incident(job.incidence, job.azimuth)
-        dome = views.hemisphere(job.brdf, wi, size=options.size, illuminant=light, progress=report)
     samples = SUPERSAMPLING * options.size
     # On the sheet the dominant period runs along the bend, so that its orders lie one above
     # the other.
     turn = 0.0 if job.grating is None else job.grating[1]
     objects = {"sphere": shapes.sphere(samples), "sheet": shapes.sheet(samples).turned(turn)}
     lights = {name: shapes.unit(_array(_LIGHTS[name])) for name in objects}
+    shot = None
+    if subject is not None:
+        with stages.stage("mesh"):
+            shot = subject.shoot(samples)
+        objects["mesh"], lights["mesh"] = shot.view, subject.light
+    with stages.stage("in-plane spectra"):
+        cut = spectra(job)
+    with stages.stage("hemisphere") as report:
+        wi = views.incident(job.incidence, job.azimuth)
+        dome = views.hemisphere(job.brdf, wi, size=options.size, illuminant=light, progress=report)
     with stages.stage("table for objects") as report:
         table = object_table(job, objects, lights, report)
     with stages.stage("objects"):
         for name, view in objects.items():
-            draw_object(job, table, view, lights[name], folder / f"{name}.png")
+            lit = shot.lit if shot is not None and name == "mesh" else None
+            draw_object(job, table, view, lights[name], folder / f"{name}.png", lit=lit)
     with stages.stage("figures"):
         pictures.save(pictures.scan(job.scan, job.statistics), folder / "scan.png")
         figure = pictures.in_plane(cut, period=job.period_in_plane, illuminant=light)
@@ -169,7 +193,11 @@ def produce(job: "Job", folder: Path, stages: "Stages") -> dict[str, Any]:
         figure = pictures.hemisphere(dome, grating=job.grating, illuminant=light)
         pictures.save(figure, folder / "hemisphere.png")
         results.write_arrays(folder / "result.npz", job, cut, dome)
-    return results.summary(job, cut, stages)
+    content = results.summary(job, cut, stages)
+    if shot is not None:
+        content["mesh"] = shot.summary()
+        content["notes"] += shot.notes()
+    return content
 
 
 def spectra(job: "Job") -> "views.InPlane":
@@ -238,12 +266,14 @@ def draw_object(
     view: "shapes.View",
     light: "np.ndarray",
     path: Path,
+    *,
     percentile: float = 96.0,
+    lit: "np.ndarray | None" = None,
 ) -> None:
-    """Light one object and write its picture."""
+    """Light one object, or the samples `lit` of it, and write its picture."""
     from diffopt.drawing import pictures, views
 
-    image = views.photograph(job.brdf, table, view, light, illuminant=job.illuminant)
+    image = views.photograph(job.brdf, table, view, light, lit=lit, illuminant=job.illuminant)
     rgb = pictures.photograph(
         image, supersampling=SUPERSAMPLING, percentile=percentile, illuminant=job.illuminant
     )

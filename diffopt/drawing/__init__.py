@@ -1,9 +1,13 @@
 """From a model to pictures.
 
-==========  ====================================================================
-`shapes`    curved surfaces under a camera
-`views`     what the pictures show, as numbers
-`tones`     gamut, exposure and tone curve for a display
-`pictures`  figures and files
-==========  ====================================================================
+===========  ===================================================================
+`shapes`     closed shapes under a camera
+`meshes`     triangle meshes under a camera and a light
+`meshfiles`  meshes from files and arrays: winding, creases, normals
+`tangents`   directions of the material on a mesh
+`views`      what the pictures show, as numbers
+`tones`      gamut, exposure and tone curve for a display
+`pictures`   figures and files
+`frames`     pictures at interactive rates, for moving lights
+===========  ===================================================================
 """

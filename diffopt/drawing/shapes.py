@@ -13,6 +13,8 @@ from jaxtyping import Bool, Float
 from diffopt.errors import InputError
 
 Vectors = Float[np.ndarray, "h w 3"]
+#: Samples on a side of a square picture, or rows and columns.
+Size = int | tuple[int, int]
 
 # Compact disc, radii in mm (IEC 60908: hole 15 mm, recorded area up to 116 mm, disc 120 mm in
 # diameter; the lead-in starts at 46 mm, the mirror band around it inside).
@@ -70,7 +72,7 @@ def unit(vectors: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def sphere(size: int, *, margin: float = 0.04) -> View:
+def sphere(size: Size, *, margin: float = 0.04) -> View:
     """Unit sphere seen along -z by an orthographic camera.
 
     The tangent runs along the parallels about the vertical axis; there is no tangent at the
@@ -79,7 +81,7 @@ def sphere(size: int, *, margin: float = 0.04) -> View:
     Parameters
     ----------
     size
-        Samples on a side.
+        Samples on a side, or (rows, columns): the object then fits the shorter side.
     margin
         Empty border, as a share of the radius.
     """
@@ -96,7 +98,7 @@ def sphere(size: int, *, margin: float = 0.04) -> View:
 
 
 def sheet(
-    size: int,
+    size: Size,
     *,
     bend_deg: float = 100.0,
     width: float = 1.0,
@@ -110,7 +112,7 @@ def sheet(
     Parameters
     ----------
     size
-        Samples on a side.
+        Samples on a side, or (rows, columns): the object then fits the shorter side.
     bend_deg
         Angle of the arc, degrees, above 0 and at most 180.
     width
@@ -123,7 +125,7 @@ def sheet(
     # The middle of the arc looks half way up, so that the camera and a light above share it.
     middle = np.radians(60.0)
     target = np.array([0.0, np.sin(middle) - 0.28, np.cos(middle) - 0.16])
-    origin, rays = _camera(size, np.array(eye), target, half_width=1.28 * width)
+    origin, rays = camera(size, np.array(eye), target, half_width=1.28 * width)
     # Nearest crossing of origin + t ray with y^2 + z^2 = 1.
     a = (rays[..., 1:] ** 2).sum(-1)
     b = (rays[..., 1:] * origin[1:]).sum(-1)
@@ -143,7 +145,7 @@ def sheet(
 
 
 def disc(
-    size: int,
+    size: Size,
     *,
     eye: tuple[float, float, float] = (0.0, -190.0, 260.0),
     recorded: tuple[float, float] = RECORDED_RADII,
@@ -156,7 +158,7 @@ def disc(
     Parameters
     ----------
     size
-        Samples on a side.
+        Samples on a side, or (rows, columns): the object then fits the shorter side.
     eye
         Camera position, above the plane; it looks at the hole.
     recorded
@@ -164,7 +166,7 @@ def disc(
     """
     if not eye[2] > 0.0:
         raise InputError(f"eye={eye}: expected a camera above the disc, z > 0")
-    origin, rays = _camera(
+    origin, rays = camera(
         size, np.array(eye), np.array([0.0, -3.0, 0.0]), half_width=1.08 * DISC_RADIUS
     )
     down = np.minimum(rays[..., 2], -1e-9)
@@ -179,24 +181,75 @@ def disc(
     return View(position, tangent, normal, -rays, covered, inside & ~covered)
 
 
-def _screen(size: int, half: float) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+def axes(
+    eye: Float[np.ndarray, "3"],
+    target: Float[np.ndarray, "3"],
+    up: Float[np.ndarray, "3"],
+) -> Float[np.ndarray, "3 3"]:
+    """Unit vectors of a camera in the world: to the right, up, and back to the viewer.
+
+    Raises
+    ------
+    InputError
+        If the camera is at its target, or looks along `up`.
+    """
+    back = np.asarray(eye, np.float64) - target
+    right = np.cross(up, back)
+    if not np.linalg.norm(right) > 1e-9 * np.linalg.norm(back) * np.linalg.norm(up):
+        raise InputError(
+            f"a camera at {_words(eye)} that looks at {_words(target)} with {_words(up)} upwards: "
+            "expected different places, and not the upward direction between them"
+        )
+    right, back = unit(right), unit(back)
+    return np.stack([right, np.cross(back, right), back])
+
+
+def camera(
+    size: Size,
+    eye: Float[np.ndarray, "3"],
+    target: Float[np.ndarray, "3"],
+    *,
+    half_width: float,
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0),
+) -> tuple[Float[np.ndarray, "3"], Vectors]:
+    """Pinhole camera: its position and the unit rays through the samples.
+
+    Parameters
+    ----------
+    size
+        Samples on a side, or (rows, columns).
+    eye, target
+        Position, and the point in the middle of the picture.
+    half_width
+        Half the shorter side of the picture at the target.
+    up
+        Direction that is upright in the picture.
+
+    Raises
+    ------
+    InputError
+        See `axes`.
+    """
+    x, y = _screen(size, half_width)
+    right, above, back = axes(eye, target, np.array(up))
+    distance = float(np.linalg.norm(eye - target))
+    rays = x[..., None] * right + y[..., None] * above - distance * back
+    return eye.astype(np.float64), unit(rays)
+
+
+def _screen(size: Size, half: float) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
     """Coordinates x (to the right) and y (up) of the samples' centres."""
-    if size < 2:
+    rows, columns = (size, size) if isinstance(size, int) else size
+    shorter = min(rows, columns)
+    if shorter < 2:
         raise InputError(f"size={size}: expected at least 2 samples on a side")
-    line = ((np.arange(size) + 0.5) / size * 2.0 - 1.0) * half
-    x, y = np.meshgrid(line, -line)
+    across, down = (
+        ((np.arange(count) + 0.5) / count * 2.0 - 1.0) * (half * count / shorter)
+        for count in (columns, rows)
+    )
+    x, y = np.meshgrid(across, -down)
     return x, y
 
 
-def _camera(
-    size: int, eye: np.ndarray, target: np.ndarray, *, half_width: float
-) -> tuple[Float[np.ndarray, "3"], Vectors]:
-    """Pinhole camera: its position and unit rays; the frame is half_width wide at the target."""
-    forward = unit(target - eye)
-    up = np.array([0.0, 1.0, 0.0])
-    right = unit(np.cross(forward, up))
-    x, y = _screen(size, half_width)
-    distance = float(np.linalg.norm(target - eye))
-    above = np.cross(right, forward)
-    rays = distance * forward + x[..., None] * right + y[..., None] * above
-    return eye.astype(np.float64), unit(rays)
+def _words(vector: np.ndarray) -> str:
+    return ",".join(f"{value:g}" for value in vector)

@@ -1,19 +1,21 @@
 """What the pictures show, as numbers: hemisphere maps, in-plane cuts, lit objects.
 
 Radiances are those of a surface under a beam of unit irradiance across it: f cos_i, as XYZ
-with the illuminant's Y normalised to 1. Light and camera are directions or positions; masks
-and shadows of one part of an object on another are not computed (all objects are convex).
+with the illuminant's Y normalised to 1. Light and camera are directions or positions. Shadows
+of one part of an object on another are the caller's to compute: the closed shapes are convex,
+for meshes see `diffopt.drawing.meshes.lit`.
 """
 
 import dataclasses
 import math
 from collections.abc import Callable
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from diffopt import colour, lookup
+from diffopt import baking, colour, lookup, table_bounds
 from diffopt.choice import Choice
 from diffopt.diffraction import DiffractionBRDF
 from diffopt.drawing import shapes, tones
@@ -25,6 +27,9 @@ Progress = Callable[[int, int], None]
 GRAZING = math.radians(85.0)
 #: The in-plane cut ends here, where the scalar theory is off by percents.
 STEEPEST = math.radians(80.0)
+
+#: Largest error of the colour tables behind pictures, relative to a mirror's peak.
+TABLE_ERROR = 1e-3
 
 #: Reflectance of the parts of an object that are not of the material.
 NEUTRAL = 0.6
@@ -229,31 +234,55 @@ def bake(
     size: int,
     illuminant: colour.IlluminantLike = "D65",
     progress: Progress | None = None,
-) -> lookup.ColourTable:
+) -> lookup.Table:
     """Colour table over the wave vectors that a picture of `size` pixels needs.
 
-    See `diffopt.lookup.bake`.
+    Its error stays below `TABLE_ERROR` of a mirror's peak. Lines finer than two pixels of
+    the box are blurred to that (a single coherent window is sampled as it is), as a pixel
+    would blur them.
+
+    Parameters
+    ----------
+    brdf
+        The model.
+    waves
+        Wave vectors of the picture.
+    size
+        Pixels on a side.
+    illuminant
+        See `diffopt.colour.spectral_weights`.
+    progress
+        Called with (parts done, parts in all).
     """
     low, high = waves.min(axis=0), waves.max(axis=0)
     # A range of its own for every picture would mean a compilation for each; steps of 0.05
     # also keep the ends inside the table after rounding to float32.
     low, high = np.floor(low / 0.05) * 0.05, np.ceil(high / 0.05) * 0.05
     u, v, w = ((float(a), float(max(b, a + 0.05))) for a, b in zip(low, high, strict=True))
-    return lookup.bake(
-        brdf,
-        u=u,
-        v=v,
-        w=(w[0], min(w[1], 0.0)),
-        size=min(385, max(33, size + 1)),
-        wavelengths=colour.wavelengths(tones.STEP_NM),
-        illuminant=illuminant,
-        progress=progress,
+    box = baking.Box(u, v, (max(w[0], -2.0), min(w[1], 0.0)))
+    lam = np.asarray(colour.wavelengths(tones.STEP_NM))
+    weights = np.asarray(colour.spectral_weights(lam, illuminant=illuminant))
+    finest = 2.0 * max(u[1] - u[0], v[1] - v[0]) / min(size, 512)
+    width = float(baking.line_width(brdf.surface, lam).min())
+    coarser = 1.0
+    if brdf.surface.coverage != "positions":
+        coarser = max(1.0, finest / width)
+    elif width < finest:
+        blur = math.sqrt(float(brdf.surface.blur) ** 2 + finest**2 - width**2)
+        wider = jnp.asarray(blur, brdf.surface.blur.dtype)
+        brdf = eqx.tree_at(lambda b: b.surface.blur, brdf, wider)
+    settings = table_bounds.table_settings(
+        brdf.surface, box, lam, lambda error: float(error.max()), TABLE_ERROR, order=3
+    )
+    settings = dataclasses.replace(settings, step=settings.step * coarser)
+    return baking.bake(
+        brdf, box, lam, weights, settings, relative=brdf.balance == "peak", progress=progress
     )
 
 
 def radiance(
     brdf: DiffractionBRDF,
-    table: lookup.ColourTable,
+    table: lookup.Table,
     wi: Float[np.ndarray, "n 3"],
     wo: Float[np.ndarray, "n 3"],
 ) -> Float[np.ndarray, "n 3"]:
@@ -284,10 +313,11 @@ def wave_vectors(
 
 def photograph(
     brdf: DiffractionBRDF,
-    table: lookup.ColourTable,
+    table: lookup.Table,
     view: shapes.View,
     light: Float[np.ndarray, "... 3"],
     *,
+    lit: Bool[np.ndarray, "h w"] | None = None,
     illuminant: colour.IlluminantLike = "D65",
 ) -> Image:
     """Light that a lit object sends to the samples of a picture.
@@ -301,18 +331,23 @@ def photograph(
     light
         Unit vectors to the light, in the world: [3] or [h, w, 3]. Unit irradiance across the
         beam.
+    lit
+        Which samples the light reaches, [h, w]; all whose front it faces if left out.
     illuminant
         As for `bake`.
     """
-    lit, wi, wo = wave_vectors(view, light)
+    shown, wi, wo = wave_vectors(view, light)
+    if lit is not None:
+        kept, shown = lit[shown], shown & lit
+        wi, wo = wi[kept], wo[kept]
     xyz = np.zeros((*view.covered.shape, 3))
-    xyz[lit] = radiance(brdf, table, wi, wo)
+    xyz[shown] = radiance(brdf, table, wi, wo)
     albedo = np.where(view.neutral, NEUTRAL, 0.0)[..., None] * np.ones(3)
-    albedo[view.covered] = _normal_colour(brdf, illuminant)
+    albedo[view.covered] = normal_colour(brdf, illuminant)
     return Image(xyz, albedo, view.covered, view.neutral)
 
 
-def _normal_colour(
+def normal_colour(
     brdf: DiffractionBRDF, illuminant: colour.IlluminantLike
 ) -> Float[np.ndarray, "3"]:
     """XYZ of R at normal incidence over that of white."""

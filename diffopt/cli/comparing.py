@@ -1,0 +1,141 @@
+"""``diffopt compare``: every method on one job, in one run."""
+
+import contextlib
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(
+    help="Compare all ways to compute the same: set-up, run time, memory, measured error.",
+    rich_markup_mode=None,
+)
+
+
+@app.callback()
+def _root() -> None:
+    """Compare all ways to compute the same: set-up, run time, memory, measured error."""
+
+
+@app.command("diffraction")
+def diffraction(
+    file: Annotated[str, typer.Argument(help="File of heights, or sample:NAME.")],
+    pixel_size: Annotated[str | None, typer.Option(help="Pixel in um, or Y,X.")] = None,
+    height_range: Annotated[
+        str | None, typer.Option(help="Heights of black and white, LOW,HIGH or HIGH, in um.")
+    ] = None,
+    height_unit: Annotated[str | None, typer.Option(help="Unit of the numbers, as nm.")] = None,
+    channel: Annotated[str | None, typer.Option(help="Channel, by number or name.")] = None,
+    level: Annotated[
+        str | None,
+        typer.Option(help="plane, line, polynomial or none. [default: plane, samples none]"),
+    ] = None,
+    fill: Annotated[bool, typer.Option("--fill", help="Fill missing pixels.")] = False,
+    key: Annotated[int, typer.Option(help="Random key of a sample.")] = 0,
+    coherence: Annotated[
+        float | None,
+        typer.Option(
+            help="sigma_s of the coherence window in um. [default: an eighth of the patch]"
+        ),
+    ] = None,
+    material: Annotated[
+        str, typer.Option(help="mirror, al, ag, au, cu, n=1.5, schlick=0.04, constant=0.8.")
+    ] = "mirror",
+    source_angle: Annotated[float, typer.Option(help="Diameter of the light in degrees.")] = 0.0,
+    pairs: Annotated[int, typer.Option(help="Random pairs of directions.")] = 100_000,
+    angle: Annotated[float, typer.Option(help="Largest angle to the normal, degrees.")] = 75.0,
+    seed: Annotated[int, typer.Option(help="Same seed, same pairs.")] = 0,
+    tolerance: Annotated[
+        list[float] | None,
+        typer.Option(help="Largest error over the largest value; may be repeated. [default: 0.01]"),
+    ] = None,
+    result: Annotated[
+        str, typer.Option("--output", help="What is computed: xyz, spectral or relative.")
+    ] = "xyz",
+    method: Annotated[
+        list[str] | None, typer.Option(help="A method; may be repeated. [default: all]")
+    ] = None,
+    budget: Annotated[float, typer.Option(help="Seconds that one method may run.")] = 10.0,
+    checked: Annotated[int, typer.Option(help="Pairs on which errors are measured.")] = 200,
+    dtype: Annotated[str, typer.Option(help="float32 or float64.")] = "float32",
+    allow_coarse: Annotated[
+        bool,
+        typer.Option("--allow-coarse", help="Go on where the pixel is too coarse for wide angles."),
+    ] = False,
+    output: Annotated[
+        Path | None, typer.Option("-o", help="Folder for comparison.csv and comparison.json.")
+    ] = None,
+) -> None:
+    """Set-up, run time, memory and measured error of every method of diffraction on a scan."""
+    import numpy as np
+
+    from diffopt import checks
+    from diffopt.accuracy import comparison
+    from diffopt.cli import options
+    from diffopt.cli.diffraction import precision
+    from diffopt.cli.errors import user_input
+    from diffopt.cli.output import folder
+    from diffopt.cli.progress import stages, terminal
+    from diffopt.colour import spectral_weights, wavelengths
+    from diffopt.errors import InputError
+
+    checks.choice("--dtype", dtype, ("float32", "float64"))
+    kind = checks.choice("--output", result, ("xyz", "spectral", "relative"))
+    if checked < 1:
+        raise InputError(f"--checked must be at least 1; received {checked}")
+    if not budget > 0.0:
+        raise InputError(f"--budget must be above 0 seconds; received {budget:g}")
+    tolerances = tolerance or [1e-2]
+    for each in tolerances:
+        checks.tolerance(each)
+    chosen = method or list(comparison.METHODS)
+    for name in chosen:
+        checks.choice("--method", name, comparison.METHODS)
+    source = options.Source(file, pixel_size, height_range, height_unit, channel, level, fill, key)
+    appearance = options.Appearance(
+        coherence=coherence,
+        material=material,
+        source_angle=source_angle,
+        dtype=dtype,
+        allow_coarse=allow_coarse,
+    )
+    with contextlib.ExitStack() as stack:
+        staging = None if output is None else stack.enter_context(folder(output))
+        stack.enter_context(precision(dtype))
+        progress = stack.enter_context(stages(1 + len(tolerances)))
+        with user_input():
+            job = options.job(source, appearance)
+            wi, wo = comparison.random_pairs(pairs, angle, seed)
+        with progress.stage("truth in float64"):
+            lam = wavelengths()
+            weights = np.asarray(spectral_weights(lam)) if kind == "xyz" else None
+            check = comparison.truth(job.brdf, wi, wo, lam, weights, kind, checked)
+        found = []
+        for each in tolerances:
+            with progress.stage(f"tolerance {each:g}") as report:
+                found.append(
+                    comparison.compare(
+                        job.brdf,
+                        pairs=(wi, wo),
+                        tolerance=each,
+                        output=kind,
+                        methods=chosen,
+                        budget_s=budget,
+                        check=check,
+                        progress=lambda done, of, _, to=report: to(done, of),
+                    )
+                )
+        if staging is not None:
+            for each in found:
+                stem = "comparison" if len(found) == 1 else f"comparison_{each.tolerance:g}"
+                each.save_csv(staging / f"{stem}.csv")
+                each.save_json(staging / f"{stem}.json")
+    console = terminal()
+    for each in found:
+        console.print(each.table())
+    for note in job.notes:
+        console.print(f"note: {note}")
+    for warning in job.warnings:
+        console.print(f"warning: {warning}", style="yellow")
+    if output is not None:
+        console.print(f"tables: {output}")
