@@ -187,16 +187,11 @@ def _prefactors(brdf, wi, wo, lam, output, weights) -> float:
     blocks = -(-len(wi) // _BLOCK)
     padded = [np.resize(v, (blocks * _BLOCK, 3)) if len(v) % _BLOCK else v for v in (wi, wo)]
     weighted = None if weights is None else jnp.asarray(weights, dtype)
-    largest = [
-        _block_factors(
-            brdf,
-            *(jnp.asarray(v[k * _BLOCK : (k + 1) * _BLOCK], dtype) for v in padded),
-            jnp.asarray(lam, dtype),
-            weighted,
-            output,
-        )
-        for k in range(blocks)
-    ]
+    colours = jnp.asarray(lam, dtype)
+    largest = []
+    for k in range(blocks):
+        a, b = (jnp.asarray(v[k * _BLOCK : (k + 1) * _BLOCK], dtype) for v in padded)
+        largest.append(_block_factors(brdf, a, b, colours, weighted, output))
     return float(jnp.max(jnp.stack(largest)))
 
 

@@ -192,7 +192,7 @@ class PreparedBRDF(eqx.Module):
                 "shape": list(heights.shape),
                 "pixel_um": list(surface.pixel),
                 "dtype": str(heights.dtype),
-                "sha256": hashlib.sha256(np.ascontiguousarray(heights)).hexdigest(),
+                "sha256": hashlib.sha256(heights.tobytes()).hexdigest(),
             },
         }
 

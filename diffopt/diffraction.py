@@ -356,7 +356,7 @@ def intensity(
 def _evaluate(brdf, wi, wo, wavelengths, weights, tables, *, settings, output):
     batch = wi.shape[:-1]
     valid, wi, wo = frames.above_horizon(wi.reshape(-1, 3), wo.reshape(-1, 3))
-    wave = frames.wave_vector(wi, wo)
+    wave = frames.valid_wave_vector(valid, wi, wo)
     before = factors(brdf, wi, wo, wavelengths, output)
     value = before * intensity(brdf, wave, wavelengths, settings, tables, valid)
     value = jnp.where(valid[:, None], value, 0.0)

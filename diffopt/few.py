@@ -148,7 +148,7 @@ def evaluate_few(
     """
     batch = wi.shape[:-1]
     valid, wi, wo = frames.above_horizon(wi.reshape(-1, 3), wo.reshape(-1, 3))
-    wave = frames.wave_vector(wi, wo)
+    wave = frames.valid_wave_vector(valid, wi, wo)
     rest = eqx.tree_at(lambda b: b.surface, brdf, _without_mean(brdf.surface))
     square = intensity(rest, wave, few.wavelengths, SeparableSettings(nodes=settings.nodes))
     value = factors(brdf, wi, wo, few.wavelengths, "xyz") * square

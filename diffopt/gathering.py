@@ -14,6 +14,9 @@ from diffopt.kernels import expansions, gather, phase
 from diffopt.methods import Surface
 from diffopt.settings import ChebyshevSettings, GatherSettings, TaylorSettings
 
+# Table entries that a chunk of evaluations may hold where they are not summed at once.
+CACHED = 2**21
+
 
 class GatherTables(eqx.Module):
     """What `gathered` reads; made by `gather_tables`.
@@ -161,4 +164,8 @@ def gathered(
     colours = jnp.tile(wavelengths, pairs)
     body = jax.checkpoint(one, prevent_cse=False)
     batch = min(settings.chunk, waves.shape[0])
+    if surface.coverage == "positions" and tables.values.shape[2] == 2:
+        # Bins that are squared one by one are all held at once: within the caches.
+        bins = (2 * settings.reach + 1) ** 2
+        batch = max(1, min(batch, CACHED // (2 * bins * terms)))
     return jax.lax.map(body, (waves, colours), batch_size=batch).reshape(pairs, count)

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from diffopt.diffraction import DiffractionBRDF, Shadowing, geometry
+from diffopt.diffraction import Shadowing, geometry
 from diffopt.kernels import frames, spline
 from diffopt.kernels.prefactor import Prefactor
 
@@ -97,7 +97,6 @@ def reflect(
 
 @eqx.filter_jit
 def shade(
-    brdf: DiffractionBRDF,
     table: Table,
     wi: Float[Array, "*batch 3"],
     wo: Float[Array, "*batch 3"],

@@ -30,6 +30,17 @@ def wave_vector(wi: Float[Array, "... 3"], wo: Float[Array, "... 3"]) -> Float[A
     return -(wi + wo)
 
 
+def valid_wave_vector(
+    valid: Bool[Array, " M"], wi: Float[Array, "M 3"], wo: Float[Array, "M 3"]
+) -> Float[Array, "M 3"]:
+    """Wave vectors of pairs, with that of the first valid pair where a pair is not.
+
+    Pairs that do not count shall not widen the range of w over which a method interpolates.
+    """
+    wave = wave_vector(wi, wo)
+    return jnp.where(valid[:, None], wave, wave[jnp.argmax(valid)][None, :])
+
+
 def half_cosine(wave: Float[Array, "... 3"]) -> Float[Array, "..."]:
     """Cosine between either direction and their half vector, |wi + wo| / 2."""
     return 0.5 * jnp.sqrt((wave * wave).sum(-1))

@@ -126,25 +126,28 @@ def lookup(
     order
         Degree in x and y.
     """
-    rows, columns, depth, _ = table.shape
+    rows, columns, depth, channels = table.shape
     i, tx = locate(x, columns, order)
     j, ty = locate(y, rows, order)
     k, tz = locate(z, depth, 3)
-    wx, wy, wz = weights(tx, order), weights(ty, order), weights(tz, 3)
-    # The barriers keep what leads to the places, and what follows, out of the one large loop,
-    # which would compute it anew for every tap, and compile for seconds.
-    base, wx, wy, wz = jax.lax.optimization_barrier(((j * columns + i) * depth + k, wx, wy, wz))
-    flat = table.reshape(rows * columns * depth, -1)
-    total = jnp.zeros((x.shape[0], table.shape[3]), table.dtype)
+    # The four coefficients along z lie side by side: one contiguous run for each (y, x).
+    run = 4 * channels
+    base = ((j * columns + i) * depth + k) * channels
+    numbers = jax.lax.GatherDimensionNumbers(
+        offset_dims=(1,), collapsed_slice_dims=(), start_index_map=(0,)
+    )
+    total = jnp.zeros((x.shape[0], run), table.dtype)
     # Unrolled on purpose: one fused loop over the places, which no batched slice gives.
-    for b, weight_y in enumerate(wy):
-        for a, weight_x in enumerate(wx):
-            across = weight_y * weight_x
-            for c, weight_z in enumerate(wz):
-                at = base + ((b * columns + a) * depth + c)
-                value = flat.at[at].get(mode="promise_in_bounds")
-                total = total + value * (across * weight_z)[:, None]
-    return jax.lax.optimization_barrier(total)
+    for b, weight_y in enumerate(weights(ty, order)):
+        for a, weight_x in enumerate(weights(tx, order)):
+            start = base + (b * columns + a) * (depth * channels)
+            values = jax.lax.gather(
+                table.reshape(-1), start[:, None], numbers, (run,), mode="promise_in_bounds"
+            )
+            total = total + values * (weight_y * weight_x)[:, None]
+    runs = total.reshape(-1, 4, channels)
+    parts = [runs[:, c] * weight[:, None] for c, weight in enumerate(weights(tz, 3))]
+    return parts[0] + parts[1] + parts[2] + parts[3]
 
 
 def frequency_error(theta: np.ndarray, order: int) -> np.ndarray:

@@ -307,3 +307,21 @@ def test_rounding_estimate_covers_float32(range_, rng):
             estimate = bounds.rounding_estimate(brdf.surface, np.asarray(wave), lam)
     error = np.abs(np.asarray(values["float32"], np.float64) - np.asarray(values["float64"])).max()
     assert error < estimate
+
+
+def test_pairs_below_the_horizon_do_not_widen_the_job(rng):
+    """They are masked; their stand-in must not stretch the range of w that is interpolated."""
+    scan = do.samples.gaussian_roughness(
+        jax.random.key(0), shape=(48, 48), pixel=0.1, rms=0.1, correlation_length=0.4
+    )
+    brdf = do.DiffractionBRDF(do.Heightfield(scan.heights, scan.pixel), 0.5)
+    # All near 60 degrees: w hardly changes, unless the normal comes in with w = -2.
+    turn = rng.uniform(0, 2 * np.pi, (2, 40))
+    sin, cos = np.sin(1.05), np.cos(1.05)
+    wi, wo = (np.stack([sin * np.cos(t), sin * np.sin(t), np.full_like(t, cos)], -1) for t in turn)
+    wo[::2, 2] *= -1.0
+    expected = brdf(wi, wo, WAVELENGTHS)
+    for method in ("separable", "chebyshev"):
+        fast = brdf.prepare(pairs=(wi, wo), wavelengths=WAVELENGTHS, tolerance=1e-3, method=method)
+        error = float(jnp.abs(fast(wi, wo) - expected).max() / expected.max())
+        assert error <= fast.choice.error_bound <= 1e-3

@@ -24,6 +24,7 @@ NAMES: dict[str, str] = {
     "derivative": "diffopt.accuracy.diffraction_benchmarks:DERIVATIVE",
     "direct.positions": "diffopt.accuracy.diffraction_benchmarks:DIRECT_POSITIONS",
     "direct.window": "diffopt.accuracy.diffraction_benchmarks:DIRECT_WINDOW",
+    "expansion.gather": "diffopt.accuracy.diffraction_benchmarks:EXPANSION_GATHER",
     "frames": "diffopt.accuracy.frame_benchmarks:FRAMES",
     "separable.grid": "diffopt.accuracy.diffraction_benchmarks:SEPARABLE_GRID",
     "separable.pairs": "diffopt.accuracy.diffraction_benchmarks:SEPARABLE_PAIRS",

@@ -31,7 +31,7 @@ def _expansion(quick: bool) -> list[Case]:
     # Rounding of Taylor terms hangs on the very argument: a few wavelengths find a bad one.
     wavelengths = np.linspace(SHORTEST, 1.05 * SHORTEST, 8)
     ranges = (1.0, 30.0) if quick else (1.0, 1.5 * math.pi, 10.0, 30.0, 100.0, 300.0)
-    ladder = (6, 16) if quick else (4, 6, 10, 16, 28, 40, 64, 100)
+    ladder = (6, 16) if quick else (4, 8, 16, 32, 48, 64, 100)
     s = np.outer(wave[:, 2], 1.0 / wavelengths)
 
     @functools.cache

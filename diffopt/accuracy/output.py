@@ -96,6 +96,7 @@ def plot_against(result: Any, name: str, path: str | os.PathLike | None) -> Any:
     for axes in grid.flat[len(panels) :]:
         axes.set_axis_off()
     handles: dict[str, Any] = {}
+    values = [float(row.settings[name]) for row in result.rows]
     for axes, (title, drawn) in zip(grid.flat, panels.items(), strict=False):
         for text, rows in drawn.items():
             rows = sorted(rows, key=lambda row: row.settings[name])
@@ -108,11 +109,13 @@ def plot_against(result: Any, name: str, path: str | os.PathLike | None) -> Any:
             if known:
                 axes.plot(*zip(*known, strict=True), ls=":", **style)
         axes.set(yscale="log", xlabel=name)
-        x = [float(row.settings[name]) for rows in drawn.values() for row in rows]
-        if max(x) > 8.0 * min(x) > 0.0:
-            axes.set_xscale("log")
+        if max(values) > 8.0 * min(values) > 0.0:
+            axes.set(xscale="log", xlim=(0.8 * min(values), 1.25 * max(values)))
         axes.set_title(title, fontsize=8)
-        axes.set_ylim(top=min(axes.get_ylim()[1], 10.0))
+    # All share the axis.
+    heights = [e for row in result.rows for e in (row.error, row.bound) if e]
+    if heights:
+        grid[0, 0].set_ylim(max(0.3 * min(heights), 1e-16), min(3.0 * max(heights), 10.0))
     figure.legend(handles.values(), handles.keys(), fontsize=7, loc="outside lower center", ncols=4)
     for axes in grid[:, 0]:
         axes.set_ylabel("error (dotted: bound)" if any(r.bound for r in result.rows) else "error")

@@ -188,7 +188,10 @@ def _fresnel(quick: bool) -> list[Case]:
         )
 
     return [
-        case(name, angle, form) for name in materials for angle in (60.0, 75.0) for form in forms
+        case(name, angle, form)
+        for name in materials
+        for angle in ((60.0, 75.0) if quick else (30.0, 45.0, 60.0, 75.0))
+        for form in forms
     ]
 
 
@@ -198,4 +201,5 @@ FRESNEL = Study(
     reference="the exact reflectance at the half angle and each wavelength, in float64",
     cases=_fresnel,
     conditions=("material", "within_deg"),
+    against="within_deg",
 )

@@ -70,7 +70,9 @@ def command(
         str, typer.Option(help="Over all positions of the window, or one window: speckle.")
     ] = "positions",
     tolerance: Annotated[float, typer.Option(help="Error of the spectra over the largest.")] = 1e-3,
-    method: Annotated[str, typer.Option(help="auto, direct, separable or taylor.")] = "auto",
+    method: Annotated[
+        str, typer.Option(help="auto, direct, separable, taylor, chebyshev, lowrank, table.")
+    ] = "auto",
     dtype: Annotated[
         str,
         typer.Option(help="float32, float64, or auto: spectra in float64 where they need it."),

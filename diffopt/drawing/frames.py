@@ -34,8 +34,8 @@ class Frames(eqx.Module):
 
     Attributes
     ----------
-    brdf, table
-        The model and its colour table.
+    table
+        Colours over the wave vectors of all lights.
     tangent, across, normal
         Axes of the material at the n samples that show it, [3, n].
     position
@@ -53,8 +53,7 @@ class Frames(eqx.Module):
         XYZ that uniform surroundings add at exposure 1, [3].
     """
 
-    brdf: DiffractionBRDF
-    table: Any
+    table: lookup.Table
     tangent: Float[Array, "3 n"]
     across: Float[Array, "3 n"]
     normal: Float[Array, "3 n"]
@@ -69,7 +68,7 @@ class Frames(eqx.Module):
     def __init__(
         self,
         brdf: DiffractionBRDF,
-        table: Any,
+        table: lookup.Table,
         view: shapes.View,
         *,
         illuminant: colour.IlluminantLike = "D65",
@@ -104,7 +103,7 @@ class Frames(eqx.Module):
         day = colour.white_point("D65", wavelengths)
         white = colour.white_point(illuminant, wavelengths)
         ambient = pictures.SURROUNDINGS * white * views.normal_colour(brdf, illuminant)
-        self.brdf, self.table = brdf, table
+        self.table = table
         self.tangent, self.normal = columns(view.tangent), columns(view.normal)
         self.across = columns(np.cross(view.normal, view.tangent))
         self.position = columns(view.position)
@@ -247,9 +246,9 @@ def _radiance(frames: Frames, light: Array, turn: Array, near: Array, lit: Any) 
     axes = (frames.tangent, frames.across, frames.normal)
     wi = _turned([_dot(list(axis), towards) for axis in axes], turn)
     wo = _turned(list(frames.eye), turn)
-    dtype = frames.brdf.surface.heights.dtype
+    dtype = frames.table.coefficients.dtype
     pairs = (jnp.stack(w, axis=-1).astype(dtype) for w in (wi, wo))
-    xyz = lookup.shade(frames.brdf, frames.table, *pairs).astype(jnp.float32)
+    xyz = lookup.shade(frames.table, *pairs).astype(jnp.float32)
     if lit is not None:
         reached = jnp.asarray(lit).reshape(-1)[frames.pixel]
         xyz = jnp.where(reached[:, None], xyz, 0.0)

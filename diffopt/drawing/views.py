@@ -180,7 +180,7 @@ def hemisphere(
     wo = np.stack([x, y, np.sqrt(np.maximum(1.0 - x * x - y * y, 0.0))], axis=-1)[shown]
     table = bake(brdf, -(wi + wo), size=size, illuminant=illuminant, progress=progress)
     xyz = np.zeros((size, size, 3))
-    xyz[shown] = radiance(brdf, table, np.broadcast_to(wi, wo.shape), wo)
+    xyz[shown] = radiance(table, np.broadcast_to(wi, wo.shape), wo)
     return Hemisphere(xyz=xyz, line=line, wi=wi)
 
 
@@ -281,13 +281,12 @@ def bake(
 
 
 def radiance(
-    brdf: DiffractionBRDF,
     table: lookup.Table,
     wi: Float[np.ndarray, "n 3"],
     wo: Float[np.ndarray, "n 3"],
 ) -> Float[np.ndarray, "n 3"]:
     """F cos_i as XYZ for many pairs in the local frame, 0 beyond `GRAZING` for the viewer."""
-    dtype = brdf.surface.heights.dtype
+    dtype = table.coefficients.dtype
     out = np.zeros((len(wi), 3))
     for first in range(0, len(wi), tones.BLOCK):
         part = slice(first, first + tones.BLOCK)
@@ -297,7 +296,7 @@ def radiance(
         pairs[..., 2] = 1.0
         pairs[0, :count], pairs[1, :count] = wi[part], wo[part]
         pairs = jnp.asarray(pairs, dtype)
-        out[part] = np.asarray(lookup.shade(brdf, table, pairs[0], pairs[1]))[:count]
+        out[part] = np.asarray(lookup.shade(table, pairs[0], pairs[1]))[:count]
     out[wo[:, 2] <= math.cos(GRAZING)] = 0.0
     return out
 
@@ -341,7 +340,7 @@ def photograph(
         kept, shown = lit[shown], shown & lit
         wi, wo = wi[kept], wo[kept]
     xyz = np.zeros((*view.covered.shape, 3))
-    xyz[shown] = radiance(brdf, table, wi, wo)
+    xyz[shown] = radiance(table, wi, wo)
     albedo = np.where(view.neutral, NEUTRAL, 0.0)[..., None] * np.ones(3)
     albedo[view.covered] = normal_colour(brdf, illuminant)
     return Image(xyz, albedo, view.covered, view.neutral)
