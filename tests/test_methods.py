@@ -31,18 +31,24 @@ def surface(surface_name, request, dtype):
 
 
 @pytest.mark.parametrize("average", ["positions", "window"])
-@pytest.mark.parametrize("method", ["separable", "taylor", "chebyshev", "lowrank"])
-def test_methods_agree_within_their_stated_error(surface, method, average, dtype, rng):
+def test_methods_agree_within_their_stated_error(surface, average, dtype, rng):
     scan, sigma = surface
     brdf = do.DiffractionBRDF(scan, sigma, average=average)
     wi, wo = directions(rng, PAIRS), directions(rng, PAIRS)
     expected = brdf(wi, wo, WAVELENGTHS)
-    # float32 rounds the Taylor terms of a deep scan: it cannot promise as much.
-    tolerance = 1e-2 if dtype == "float64" or method != "taylor" else 0.1
-    fast = brdf.prepare(pairs=(wi, wo), wavelengths=WAVELENGTHS, tolerance=tolerance, method=method)
-    error = float(jnp.abs(fast(wi, wo) - expected).max() / expected.max())
-    assert error <= fast.choice.error_bound <= tolerance
-    assert fast.choice.method == method
+    for method in ("separable", "taylor", "chebyshev", "lowrank", "table"):
+        # float32 rounds the Taylor terms of a deep scan: it cannot promise as much. Nor is one
+        # window's speckle worth a fine table, whose bound is relative to a mirror's peak.
+        hard = (method == "taylor" and dtype == "float32") or (
+            method == "table" and average == "window"
+        )
+        tolerance = 0.1 if hard else 1e-2
+        fast = brdf.prepare(
+            pairs=(wi, wo), wavelengths=WAVELENGTHS, tolerance=tolerance, method=method
+        )
+        error = float(jnp.abs(fast(wi, wo) - expected).max() / expected.max())
+        assert error <= fast.choice.error_bound <= tolerance, method
+        assert fast.choice.method == method
 
 
 def test_fast_methods_reach_rounding(rng):

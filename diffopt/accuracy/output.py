@@ -82,13 +82,16 @@ def plot_against(result: Any, name: str, path: str | os.PathLike | None) -> Any:
     from matplotlib.figure import Figure
 
     others = [n for n in result.study.conditions if n != name]
+    varying = [n for n in _names(result.rows) if len({r.settings.get(n) for r in result.rows}) > 1]
     panels: dict[str, dict[str, list[Any]]] = {}
     for row in result.rows:
         panel = label({n: row.settings[n] for n in others})
-        apart = {n: v for n, v in row.settings.items() if n not in (*others, name)}
-        panels.setdefault(panel, {}).setdefault(", ".join(map(_text, apart.values())), []).append(
-            row
+        line = ", ".join(
+            v if isinstance(v, str) else f"{n} {_text(v)}"
+            for n, v in row.settings.items()
+            if n in varying and n not in (*others, name)
         )
+        panels.setdefault(panel, {}).setdefault(line, []).append(row)
     lines = list(dict.fromkeys(itertools.chain.from_iterable(panels.values())))
     columns = min(3, len(panels))
     figure = Figure(figsize=(3.6 * columns, 3.0 * -(-len(panels) // columns)), layout="constrained")

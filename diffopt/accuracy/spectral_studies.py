@@ -128,7 +128,7 @@ class _OneWavelength(Reflectance):
 
 
 def _fresnel(quick: bool) -> list[Case]:
-    n, pixel, sigma, count = (128, 0.1, 1.6, 64 if quick else 512)
+    n, pixel, sigma, count = (64, 0.1, 0.8, 64) if quick else (128, 0.1, 1.6, 512)
     lam = colour.wavelengths(10.0)
     weights = np.asarray(colour.spectral_weights(lam))
     middle = float(lam @ weights[:, 1] / weights[:, 1].sum())
