@@ -28,8 +28,8 @@ def public_kernels():
                 continue
             if getattr(function, "__module__", None) != module.__name__:
                 continue
-            if inspect.signature(function).return_annotation in (float, int):
-                continue  # bounds: plain numbers, tested beside their kernels
+            if inspect.signature(function).return_annotation in (float, int, np.ndarray):
+                continue  # bounds and set-up on the host, tested beside their kernels
             yield f"{info.name}.{name}"
 
 

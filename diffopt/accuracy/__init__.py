@@ -4,7 +4,10 @@
 `studies`                 the protocol, and `study`
 `jobs`                    surfaces, directions and truth that studies share
 `output`                  tables, plots and files of their results
-`diffraction`             studies of the diffraction methods
+`diffraction`             studies of window, patch, nodes and rounding
+`expansion_studies`       study of Taylor, Chebyshev and low-rank expansions
+`spectral_studies`        studies of few wavelengths, and of the form of the reflectance
+`table_studies`           studies of baked tables, and of the choice over coherence lengths
 `validity`                the scalar models against rigorous optics
 `measurement`             cost of a compiled function
 `comparison`              every method on one job, in one run
