@@ -127,7 +127,9 @@ def table_settings(
             (low_count, intervals) if depth() <= 0.2 * allowed else (intervals + 1, high_count)
         )
     # The extension by a step counts for more where there are few.
-    intervals = max(4, low_count)
+    intervals = max(8, low_count)
+    # The reflectance changes with w as well, also where the phase does not.
+    nodes = max(6, nodes)
     while depth() > 0.2 * allowed and nodes < 2000:
         nodes += 1
     return dataclasses.replace(settings, nodes=nodes, intervals=intervals)

@@ -904,7 +904,7 @@ def _gamut(rgb, y, choice):
     return np.maximum(y + t * (rgb - y), 0)
 
 
-def _bump(x, order):
+def _bspline(x, order):
     """The B-spline of a degree, centred, by its truncated powers."""
     total = LD(0) * x
     for k, binomial in enumerate({1: (1, 2, 1), 2: (1, 3, 3, 1), 3: (1, 4, 6, 4, 1)}[order]):
@@ -916,7 +916,7 @@ def _bump(x, order):
 def _spline_value(table, x, y, z, order):
     total = LD(0)
     for j, i, k in np.ndindex(table.shape[:3]):
-        weight = _bump(y[0] - j, order) * _bump(x[0] - i, order) * _bump(z[0] - k, 3)
+        weight = _bspline(y[0] - j, order) * _bspline(x[0] - i, order) * _bspline(z[0] - k, 3)
         total = total + weight * table[j, i, k]
     return total[None]
 
@@ -943,7 +943,7 @@ def _splines():
                 partial(spline.weights, order=order),
                 (t,),
                 partial(
-                    lambda t, order, places: tuple(_bump(t - k, order) for k in places),
+                    lambda t, order, places: tuple(_bspline(t - k, order) for k in places),
                     order=order,
                     places=tuple(places),
                 ),
