@@ -17,9 +17,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from diffopt import bounds
 from diffopt.diffraction import DiffractionBRDF
 from diffopt.errors import InputError
-from diffopt.kernels import frames, phase, spline
+from diffopt.kernels import frames, gather, phase, spline
 from diffopt.lookup import Table
 from diffopt.methods import Surface
 from diffopt.settings import TableSettings
@@ -93,10 +94,7 @@ def line_width(surface: Surface, wavelengths: Float[np.ndarray, " L"]) -> Float[
     For one window |P|^2 is at most as fine as its coherent spot, for the average over
     positions as the Gaussian of source, pixel and window together.
     """
-    spread = np.full(len(wavelengths), 1.0 / (phase.TWO_PI * float(surface.sigma)))
-    if surface.coverage == "positions":
-        spread = np.sqrt(spread**2 + 2.0 * (float(surface.blur) / wavelengths) ** 2)
-    return wavelengths * spread / math.sqrt(2.0)
+    return wavelengths * bounds.spread(surface, wavelengths) / math.sqrt(2.0)
 
 
 def height_band(surface: Surface) -> float:
@@ -117,9 +115,8 @@ def layout(surface: Surface, box: Box, wavelengths: np.ndarray, settings: TableS
         firsts.append(0.5 * (low + high) - 0.5 * step * (inside + 2 * margin))
     low, high = box.w
     step_w = max(high - low, 1e-3) / settings.intervals
-    flat = surface.prefactor in ("ohs", "rohs")
-    at = np.outer(np.asarray(_phase_of_w(surface, np.array([low, high]))), 1.0 / wavelengths)
-    half = 0.5 * float(np.ptp(at)) * height_band(surface)
+    s_low, s_high = bounds.s_interval(surface, np.array(box.w), wavelengths)
+    half = 0.5 * (s_high - s_low) * height_band(surface)
     if surface.coverage != "positions":
         half *= 0.5
     return Layout(
@@ -127,7 +124,7 @@ def layout(surface: Surface, box: Box, wavelengths: np.ndarray, settings: TableS
         step=(step, step, step_w),
         columns=counts[0],
         rows=counts[1],
-        nodes=1 if flat and high - low < 1e-3 else settings.nodes,
+        nodes=settings.nodes if surface.follows_w or high - low >= 1e-3 else 1,
         intervals=settings.intervals,
         spectra=phase.chebyshev_nodes(half, settings.error),
     )
@@ -172,10 +169,11 @@ def bake(
     dtype = surface.heights.dtype
     plan = layout(surface, box, wavelengths, settings)
     lam = np.asarray(wavelengths, np.float64)
-    area = 1.0 / np.asarray(brdf.fresnel.normal(jnp.asarray(lam, dtype)), np.float64)
+    if relative:
+        before = 1.0 / np.asarray(brdf.fresnel.normal(jnp.asarray(lam, dtype)), np.float64)
+    else:
+        before = float(brdf.coherent_area) / lam**2
     channels = len(lam) if weights is None else weights.shape[1]
-    if not relative:
-        area = float(brdf.coherent_area) / lam**2
     reach = _reach(surface, lam, settings.error)
     rows = min(plan.rows, max(8, 3 * BLOCK_ELEMENTS // (plan.nodes * plan.columns * channels)))
     blocks = -(-plan.rows // rows)
@@ -190,9 +188,8 @@ def bake(
         _bins(line, lam, extent, reach)
         for line, extent in ((line_v, surface.extent[0]), (line_u, surface.extent[1]))
     ]
-    s = np.outer(_phase_of_w(surface, w_nodes), 1.0 / lam)
-    s_range = (float(s.min()), float(s.max()))
-    spectra = _spectra(surface, jnp.asarray(s_range, dtype), plan.spectra, *bins)
+    s_range = jnp.asarray(bounds.s_interval(surface, w_nodes, lam), dtype)
+    spectra = _spectra(surface, s_range, plan.spectra, *bins)
     taps = [
         min(count, math.ceil((n - 1) * step * extent / lam.min()) + 2 * reach + 3)
         for (_, count), n, step, extent in zip(
@@ -205,13 +202,13 @@ def bake(
         part = _bake_block(
             brdf,
             spectra,
-            jnp.asarray(s_range, dtype),
+            s_range,
             jnp.asarray([bins[0][0], bins[1][0]], jnp.int32),
             jnp.asarray(line_u, dtype),
             jnp.asarray(line_v[block * rows : (block + 1) * rows], dtype),
             jnp.asarray(w_nodes, dtype),
             jnp.asarray(lam, dtype),
-            jnp.asarray(area if weights is None else weights * area[:, None], dtype),
+            jnp.asarray(before if weights is None else weights * before[:, None], dtype),
             matrix,
             taps=tuple(taps),
         )
@@ -247,19 +244,10 @@ def refuse_table(brdf: DiffractionBRDF) -> None:
         )
 
 
-def _phase_of_w(surface: Surface, w: np.ndarray) -> np.ndarray:
-    if surface.prefactor in ("ohs", "rohs"):
-        return np.full_like(w, -2.0)
-    return w
-
-
 def _reach(surface: Surface, wavelengths: np.ndarray, error: float) -> int:
     """Bins on either side whose Gaussian weight exceeds `error`."""
-    spread = 1.0 / (phase.TWO_PI * float(surface.sigma))
-    if surface.coverage == "positions":
-        blur = float(surface.blur) / float(np.min(wavelengths))
-        spread = math.sqrt(spread**2 + 2.0 * blur**2)
-    else:
+    spread = float(bounds.spread(surface, wavelengths).max())
+    if surface.coverage != "positions":
         spread *= math.sqrt(2.0)
     return math.ceil(math.sqrt(-math.log(0.1 * error)) * spread * max(surface.extent)) + 1
 
@@ -280,23 +268,15 @@ def _spectra(surface, s_range, count, bins_y, bins_x):
     """
     half = 0.5 * (s_range[1] - s_range[0])
     nodes = phase.chebyshev_points(count, s_range.dtype) * half + 0.5 * (s_range[0] + s_range[1])
-    heights = surface.heights - 0.5 * (surface.heights.max() + surface.heights.min())
     (first_y, count_y), (first_x, count_x) = bins_y, bins_x
     r_y, r_x = first_y + np.arange(count_y), first_x + np.arange(count_x)
-    ny, nx = heights.shape
-
-    def at(s):
-        c = jnp.fft.ifft2(jax.lax.complex(*phase.cis_turns(s * jnp.fft.ifftshift(heights))))
-        if surface.coverage == "positions":
-            power = c.real**2 + c.imag**2
-            power = power.at[0, 0].set(0.0) if surface.drop_mean else power
-            parts = [power]
-        else:
-            parts = [c.real, c.imag]
-        # The spectrum of samples is periodic.
-        return jnp.stack([p[r_y % ny][:, r_x % nx] for p in parts])
-
-    values = jax.lax.map(at, nodes)
+    heights = surface.heights
+    if surface.coverage == "positions":
+        values = gather.node_powers(heights, nodes, drop_mean=surface.drop_mean)
+    else:
+        values = gather.node_spectra(heights, nodes)
+    # The spectrum of samples is periodic.
+    values = values[:, :, r_y % heights.shape[0]][..., r_x % heights.shape[1]]
     if surface.coverage == "positions":
         return values
     # A window elsewhere turns the phase of every bin.
@@ -353,7 +333,8 @@ def _bake_block(
         fy, fx = v / wavelength, groups / wavelength
         at_y = offset(fy, extent_y, first_bins[0], taps[0], bins_y)
         rows = jax.lax.dynamic_slice_in_dim(spectra, at_y, taps[0], axis=2)
-        rows = _product(to_s, rows.reshape(count, -1)).reshape(nodes * parts, taps[0], bins_x)
+        rows = jnp.matmul(to_s, rows.reshape(count, -1), precision="highest")
+        rows = rows.reshape(nodes * parts, taps[0], bins_x)
         gauss_y = _gaussians(surface, fy, at_y + first_bins[0], taps[0], extent_y, wavelength)
         lines = jnp.einsum("vm,pmx->pvx", gauss_y, rows, precision="highest")
         at_x = offset(fx, extent_x, first_bins[1], taps[1], bins_x)
@@ -377,10 +358,6 @@ def _bake_block(
     if apart:
         return jnp.einsum("wn,knvu->vuwk", matrix, each, precision="highest")
     return jnp.einsum("wn,nvuk->vuwk", matrix, total, precision="highest")
-
-
-def _product(a, b):
-    return jnp.matmul(a, b, precision="highest")
 
 
 @eqx.filter_jit

@@ -24,14 +24,14 @@ LARGEST_ROUNDING = 5e-3
 
 def phase_range(surface: Surface, wave: np.ndarray, wavelengths: np.ndarray) -> float:
     """Largest phase 2 pi |w| (h_max - h_min) / wavelength of a job, radians."""
-    w = 2.0 if surface.prefactor in ("ohs", "rohs") else float(np.abs(wave[:, 2]).max())
+    w = float(np.abs(wave[:, 2]).max()) if surface.follows_w else 2.0
     span = float(surface.heights.max() - surface.heights.min())
     return phase.TWO_PI * w * span / float(np.min(wavelengths))
 
 
 def separable_sweep(surface: Surface, wave: np.ndarray, wavelengths: np.ndarray) -> float:
     """Half the phase that w sweeps over a job at one wavelength, the z of its bound."""
-    if surface.prefactor in ("ohs", "rohs"):
+    if not surface.follows_w:
         return 0.0
     span = float(surface.heights.max() - surface.heights.min())
     sweep = math.pi * float(np.ptp(wave[:, 2])) * span / float(np.min(wavelengths))
@@ -45,17 +45,16 @@ def expansion_argument(surface: Surface, wave: np.ndarray, wavelengths: np.ndarr
     With heights measured from their mid-range; twice that where |c|^2 is expanded
     (averaged over positions). The interval is that of `kernels.expansions.interval`.
     """
-    low, high = s_interval(surface, wave, wavelengths)
+    low, high = s_interval(surface, wave[:, 2], wavelengths)
     span = float(surface.heights.max() - surface.heights.min())
     size = 1.0 + 0.5 * abs(low + high)
     half = max(0.5 * (high - low), size / max(1.0, phase.TWO_PI * span * size))
     return math.pi * half * span * (2.0 if surface.coverage == "positions" else 1.0)
 
 
-def s_interval(surface: Surface, wave: np.ndarray, wavelengths: np.ndarray) -> tuple[float, float]:
+def s_interval(surface: Surface, w: np.ndarray, wavelengths: np.ndarray) -> tuple[float, float]:
     """Smallest and largest s = w / wavelength of a job, cycles per micrometre."""
-    w = np.full(1, -2.0) if surface.prefactor in ("ohs", "rohs") else wave[:, 2]
-    s = np.outer(w, 1.0 / np.atleast_1d(wavelengths))
+    s = np.outer(w if surface.follows_w else [-2.0], 1.0 / np.atleast_1d(wavelengths))
     return float(s.min()), float(s.max())
 
 
@@ -148,10 +147,15 @@ def gather_omitted(surface: Surface, reach: int, wavelengths: np.ndarray) -> flo
 
 def _bin_step(surface: Surface, wavelengths: np.ndarray) -> float:
     """Distance of the Fourier bins over sigma_f, blur included, on the longer side."""
-    squared = surface.coverage == "positions"
-    blur = float(surface.blur) / float(np.min(wavelengths)) if squared else 0.0
-    sigma_f = math.sqrt((1.0 / (phase.TWO_PI * float(surface.sigma))) ** 2 + 2.0 * blur**2)
-    return 1.0 / (max(surface.extent) * sigma_f)
+    return 1.0 / (max(surface.extent) * float(spread(surface, wavelengths).max()))
+
+
+def spread(surface: Surface, wavelengths: np.ndarray) -> np.ndarray:
+    """`Surface.spread` in float64 on the host, [L]; without the blur for a single window."""
+    sigma_f = np.full(np.shape(wavelengths), 1.0 / (phase.TWO_PI * float(surface.sigma)))
+    if surface.coverage != "positions":
+        return sigma_f
+    return np.sqrt(sigma_f**2 + 2.0 * (float(surface.blur) / wavelengths) ** 2)
 
 
 def rounding_estimate(surface: Surface, wave: np.ndarray, wavelengths: np.ndarray) -> float:

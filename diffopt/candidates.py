@@ -1,5 +1,6 @@
 """Settings of every method that keep within a job's tolerance, or why there are none."""
 
+import functools
 from dataclasses import dataclass
 from typing import Literal
 
@@ -70,7 +71,7 @@ class Job:
     gradient: Gradient
     gain: float
 
-    @property
+    @functools.cached_property
     def wave(self) -> Float[np.ndarray, "n 3"]:
         """Wave vectors of the pairs."""
         return -(self.wi + self.wo)

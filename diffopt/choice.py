@@ -319,7 +319,7 @@ def _set_up(job: Job, settings: Settings, progress) -> Tables:
         return few.few_wavelengths(brdf, lam, job.weights, job.box.w, settings)
     if isinstance(settings, GatherSettings) and job.gradient != "model":
         reached = jnp.asarray(
-            bounds.s_interval(brdf.surface, job.wave, lam), brdf.surface.heights.dtype
+            bounds.s_interval(brdf.surface, job.wave[:, 2], lam), brdf.surface.heights.dtype
         )
         return eqx.filter_jit(gather_tables)(brdf.surface, settings, reached)
     return None

@@ -7,13 +7,15 @@ apart, the mirror at all wavelengths, the rest at a few, with the weights of the
 carried over by a cubic spline through the few.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from diffopt import methods
+from diffopt import bounds, methods
 from diffopt.diffraction import DiffractionBRDF, factors, intensity
 from diffopt.errors import InputError
 from diffopt.kernels import frames, phase
@@ -102,10 +104,9 @@ def few_wavelengths(
         )
     dtype = surface.heights.dtype
     few, few_w = few_weights(wavelengths, weights, settings.count)
-    w = np.array([-2.0]) if surface.prefactor in ("ohs", "rohs") else np.array(w_range)
-    s = np.outer(w, 1.0 / wavelengths)
-    ends = jnp.asarray([s.min(), s.max()], dtype)
-    sweep = np.pi * float(np.ptp(s)) * float(surface.heights.max() - surface.heights.min())
+    low, high = bounds.s_interval(surface, np.array(w_range), wavelengths)
+    ends = jnp.asarray([low, high], dtype)
+    sweep = np.pi * (high - low) * float(surface.heights.max() - surface.heights.min())
     nodes = phase.chebyshev_nodes(sweep, 1e-7)
     share = _shares(surface.heights, ends, nodes)
     if surface.drop_mean:
@@ -149,17 +150,13 @@ def evaluate_few(
     batch = wi.shape[:-1]
     valid, wi, wo = frames.above_horizon(wi.reshape(-1, 3), wo.reshape(-1, 3))
     wave = frames.valid_wave_vector(valid, wi, wo)
-    rest = eqx.tree_at(lambda b: b.surface, brdf, _without_mean(brdf.surface))
+    surface = dataclasses.replace(brdf.surface, drop_mean=True)
+    rest = eqx.tree_at(lambda b: b.surface, brdf, surface)
     square = intensity(rest, wave, few.wavelengths, SeparableSettings(nodes=settings.nodes))
     value = factors(brdf, wi, wo, few.wavelengths, "xyz") * square
     xyz = jnp.matmul(value, few.weights, precision="highest")
     xyz = xyz + _mirror(brdf, few, wi, wo, wave)
     return jnp.where(valid[:, None], xyz, 0.0).reshape(*batch, 3)
-
-
-def _without_mean(surface: methods.Surface) -> methods.Surface:
-    fields = {name: getattr(surface, name) for name in surface.__dataclass_fields__}
-    return methods.Surface(**{**fields, "drop_mean": True})
 
 
 def _mirror(brdf, few, wi, wo, wave):

@@ -52,6 +52,11 @@ class Surface(eqx.Module):
         ny, nx = self.heights.shape
         return ny * self.pixel[0], nx * self.pixel[1]
 
+    @property
+    def follows_w(self) -> bool:
+        """Whether the phase of the heights depends on w at all; it is that of w = -2 if not."""
+        return self.prefactor not in ("ohs", "rohs")
+
     def height_phase(self, wave: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
         """Factor of the height in the phase, in wavelengths."""
         return prefactors.height_factor(self.prefactor, wave)

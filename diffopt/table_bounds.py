@@ -60,7 +60,7 @@ def depth_error(
     intervals: int,
 ) -> Float[np.ndarray, " L"]:
     """Share of the Chebyshev points and of the spline in w."""
-    if surface.prefactor in ("ohs", "rohs"):
+    if not surface.follows_w:
         return np.zeros(len(wavelengths))
     # The table extends one step beyond the box.
     width = (box.w[1] - box.w[0]) * (1.0 + 2.0 / intervals)

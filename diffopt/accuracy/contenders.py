@@ -117,7 +117,7 @@ def _setup_seconds(task: Task, prepared: PreparedBRDF) -> float:
 def _gather_seconds(task: Task, settings: GatherSettings) -> float:
     surface = task.brdf.surface
     reached = jnp.asarray(
-        bounds.s_interval(surface, task.wave, task.wavelengths), surface.heights.dtype
+        bounds.s_interval(surface, task.wave[:, 2], task.wavelengths), surface.heights.dtype
     )
     program = compile_ahead(
         lambda surface, reached: gathering.gather_tables(surface, settings, reached),
