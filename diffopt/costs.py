@@ -33,12 +33,15 @@ class CostModel:
     window_sample: float = 2.0e-9
     positions_sample: float = 8.0e-9
     product: float = 1.5e-11
-    tap_entry: float = 2.5e-10
+    tap_entry: float = 1.1e-10
     tap_square: float = 1.0e-9
-    evaluation: float = 1.0e-7
+    evaluation: float = 7.5e-8
+    # A Chebyshev polynomial in the series of a low-rank expansion, and its use in a term.
+    series_node: float = 2.0e-9
+    series_entry: float = 1.0e-10
     table_sample: float = 2.0e-8
     # A node of a baked table, for each wavelength; a step of a lookup, for each channel.
-    bake_node: float = 6.0e-9
+    bake_node: float = 7.0e-9
     bake_channel: float = 4.0e-10
     lookup_tap: float = 5.5e-10
     # Beyond the caches each row that a lookup touches costs more.
@@ -116,7 +119,10 @@ def cost(
             entry = model.tap_square if isinstance(settings, TaylorSettings) else model.tap_entry
         else:
             entries, entry = 2 * entries, model.tap_entry
-        run = evaluations * (model.evaluation + entries * entry)
+        each = model.evaluation + entries * entry
+        if isinstance(settings, LowRankSettings):
+            each += spectra * (model.series_node + settings.terms * model.series_entry)
+        run = evaluations * each
     else:
         setup, run, nbytes = _table(surface, settings, pairs, wavelengths, box, shortest, channels)
     scale = 2.0 if surface.heights.dtype == jnp.float64 else 1.0

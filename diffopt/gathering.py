@@ -14,8 +14,9 @@ from diffopt.kernels import expansions, gather, phase
 from diffopt.methods import Surface
 from diffopt.settings import ChebyshevSettings, GatherSettings, TaylorSettings
 
-# Table entries that a chunk of evaluations may hold where they are not summed at once.
-CACHED = 2**21
+# Numbers that a block of evaluations may hold at once, and the fewest evaluations of one.
+CACHED = 2**14
+SMALLEST = 64
 
 
 class GatherTables(eqx.Module):
@@ -146,26 +147,32 @@ def gathered(
     dy, dx = surface.pixel
     terms = tables.values.shape[3]
 
-    def one(z):
+    def block(z):
         wave, wavelength = z
-        x = gather.axis_bins(nx, dx, wave[0] / wavelength, settings.reach)
-        y = gather.axis_bins(ny, dy, wave[1] / wavelength, settings.reach)
+        x = gather.axis_bins(nx, dx, wave[:, 0] / wavelength, settings.reach)
+        y = gather.axis_bins(ny, dy, wave[:, 1] / wavelength, settings.reach)
         t = (surface.height_phase(wave) / wavelength - tables.middle) / tables.half
         if isinstance(settings, TaylorSettings):
             a = expansions.taylor_coefficients(t, terms)
         else:
             a = expansions.coefficients(t, terms, tables.series)
         if surface.coverage == "positions":
-            value = gather.averaged(tables.values, a, x, y, surface.spread(wavelength))
-            return value * surface.peak_loss(wavelength)
-        return gather.coherent(tables.values, a, x, y, surface.sigma)
+            spread = surface.spread(wavelength)
+            over = jax.vmap(gather.averaged, in_axes=(None, 0, (0, 1), (0, 1), 0))
+            return over(tables.values, a, x, y, spread) * surface.peak_loss(wavelength)
+        over = jax.vmap(gather.coherent, in_axes=(None, 0, (0, 1), (0, 1), None))
+        return over(tables.values, a, x, y, surface.sigma)
 
     waves = jnp.repeat(wave, count, axis=0)
     colours = jnp.tile(wavelengths, pairs)
-    body = jax.checkpoint(one, prevent_cse=False)
-    batch = min(settings.chunk, waves.shape[0])
+    # What a block holds at once stays within the caches.
+    held = (2 * settings.reach + 1) * terms
     if surface.coverage == "positions" and tables.values.shape[2] == 2:
-        # Bins that are squared one by one are all held at once: within the caches.
-        bins = (2 * settings.reach + 1) ** 2
-        batch = max(1, min(batch, CACHED // (2 * bins * terms)))
-    return jax.lax.map(body, (waves, colours), batch_size=batch).reshape(pairs, count)
+        held *= 2 * settings.reach + 1
+    batch = max(1, min(settings.chunk, waves.shape[0], max(SMALLEST, CACHED // held)))
+    blocks = -(-waves.shape[0] // batch)
+    fill = ((0, blocks * batch - waves.shape[0]),)
+    waves = jnp.pad(waves, (*fill, (0, 0)), mode="edge").reshape(blocks, batch, 3)
+    colours = jnp.pad(colours, fill, mode="edge").reshape(blocks, batch)
+    out = jax.lax.map(jax.checkpoint(block, prevent_cse=False), (waves, colours))
+    return out.reshape(-1)[: pairs * count].reshape(pairs, count)

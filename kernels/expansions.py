@@ -129,9 +129,8 @@ def coefficients(
     x = jnp.where(jnp.abs(x) <= 1.01, x, jnp.sign(x))
     if series is None:
         return phase.chebyshev_polynomials(x, terms)
-    return jnp.matmul(
-        phase.chebyshev_polynomials(x, series.shape[1]), series.T, precision="highest"
-    )
+    rows = phase.chebyshev_rows(x, series.shape[1])
+    return jnp.moveaxis(jnp.tensordot(series, rows, 1, precision="highest"), 0, -1)
 
 
 def taylor_coefficients(

@@ -174,19 +174,21 @@ def move_origin(
 
 
 def axis_bins(
-    samples: int, step: float, frequency: Float[Array, ""], reach: int
-) -> tuple[Array, Float[Array, " taps"]]:
+    samples: int, step: float, frequency: Float[Array, "*batch"], reach: int
+) -> tuple[Array, Float[Array, "taps *batch"]]:
     """First bin of the gather in the padded table, and the distance of every bin taken.
 
     Returns
     -------
     tuple
-        Index into the padded axis, and f - f_r in cycles per micrometre for the
-        ``2 reach + 1`` bins.
+        Index into the padded axis, [*batch], and f - f_r in cycles per micrometre for the
+        ``2 reach + 1`` bins, these on the first axis: the longest axis last is what the
+        compiler turns into vector instructions.
     """
     nearest = jnp.round(jax.lax.stop_gradient(frequency) * (samples * step))
     offset = jnp.arange(-reach, reach + 1, dtype=frequency.dtype)
-    distance = frequency - (nearest + offset) / (samples * step)
+    offset = offset.reshape(-1, *(1,) * frequency.ndim)
+    distance = frequency[None] - (nearest[None] + offset) / (samples * step)
     # Zero frequency sits at samples // 2; the table starts `reach` bins earlier.
     index = jnp.mod(nearest.astype(jnp.int32) + samples // 2, samples)
     return index, distance

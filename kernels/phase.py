@@ -163,13 +163,19 @@ def chebyshev_points(nodes: int, dtype) -> Float[Array, " nodes"]:
 
 def chebyshev_polynomials(t: Float[Array, "*batch"], count: int) -> Float[Array, "*batch count"]:
     """T_0 .. T_(count-1) at points `t`, by their recurrence."""
+    return jnp.moveaxis(chebyshev_rows(t, count), 0, -1)
+
+
+def chebyshev_rows(t: Float[Array, "*batch"], count: int) -> Float[Array, "count *batch"]:
+    """`chebyshev_polynomials` with the polynomials on the first axis, as they are made."""
 
     def step(carry, _):
         previous, current = carry
         return (current, 2.0 * t * current - previous), previous
 
-    _, values = jax.lax.scan(step, (jnp.ones_like(t), t), length=count)
-    return jnp.moveaxis(values, 0, -1)
+    # A pass of a loop costs more than a step of the recurrence.
+    _, rows = jax.lax.scan(step, (jnp.ones_like(t), t), length=count, unroll=min(count, 16))
+    return rows
 
 
 def chebyshev_weights(t: Float[Array, "..."], nodes: int) -> Float[Array, "... nodes"]:
