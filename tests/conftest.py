@@ -3,12 +3,20 @@
 The suite runs with 64-bit types on (each test picks its dtype); with
 ``DIFFOPT_TEST_X64=0`` it runs as most users do, without them, and everything that
 asks for float64 is left out.
+
+Compilation takes most of its time. Programs are kept in `.pytest_cache`, where the other
+workers, the second pass, the commands that tests run and the next run find them.
 """
 
 import os
+from pathlib import Path
 
-import jax
-import pytest
+COMPILED = Path(__file__).parents[1] / ".pytest_cache" / "compiled"
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(COMPILED))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+
+import jax  # noqa: E402
+import pytest  # noqa: E402
 
 X64 = os.environ.get("DIFFOPT_TEST_X64", "1") != "0"
 jax.config.update("jax_enable_x64", X64)
