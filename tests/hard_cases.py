@@ -80,6 +80,15 @@ def _phases():
             gradient_ulps=500,  # the slope of a Chebyshev polynomial of degree 4 is up to 16
         )
         yield Hard(
+            "phase.chebyshev_rows",
+            f"t={t}",
+            partial(phase.chebyshev_rows, count=40),
+            (t,),
+            lambda t: _polynomials(t, 40),
+            ulps=800,
+            gradient_ulps=1e6,
+        )
+        yield Hard(
             "phase.chebyshev_polynomials",
             f"t={t}",
             partial(phase.chebyshev_polynomials, count=40),

@@ -1,0 +1,28 @@
+"""Materials: how surfaces scatter light.
+
+=================  ==============================================================
+`base`             what every material offers: f, sample, pdf, albedo
+`diffuse`          Lambert's, Oren and Nayar's
+`phong`            Phong's, as in textbooks and normalised; Blinn's
+`microfacet`       rough metals, and the mapping from roughness
+`interfaces`       mirrors, glass, ground glass
+`combined`         sums, scaled materials, emission
+`diffracting`      a diffracting surface as a material
+=================  ==============================================================
+"""
+
+from diffopt.materials.base import Material as Material
+from diffopt.materials.base import Sample as Sample
+from diffopt.materials.combined import Emission as Emission
+from diffopt.materials.combined import Scaled as Scaled
+from diffopt.materials.combined import Sum as Sum
+from diffopt.materials.diffracting import Diffraction as Diffraction
+from diffopt.materials.diffuse import Lambert as Lambert
+from diffopt.materials.diffuse import OrenNayar as OrenNayar
+from diffopt.materials.interfaces import Dielectric as Dielectric
+from diffopt.materials.interfaces import Mirror as Mirror
+from diffopt.materials.interfaces import RoughDielectric as RoughDielectric
+from diffopt.materials.microfacet import Microfacet as Microfacet
+from diffopt.materials.microfacet import alpha_from_roughness as alpha_from_roughness
+from diffopt.materials.phong import BlinnPhong as BlinnPhong
+from diffopt.materials.phong import Phong as Phong
