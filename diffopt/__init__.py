@@ -23,6 +23,7 @@
 `few`                  a few wavelengths, the mirror peak apart
 `accuracy`             studies of accuracy against time, and benchmarks
 `fresnel`              reflectance of mirrors, glasses and metals
+`materials`            how surfaces scatter light: values, samples, densities, albedos
 `colour`               spectra to XYZ to sRGB
 `illuminants`          illuminants, the observer, weights from spectra to XYZ
 `bands`                three bands in place of the matching functions
@@ -34,6 +35,7 @@
 from diffopt import colour as colour
 from diffopt import fresnel as fresnel
 from diffopt import gratings as gratings
+from diffopt import materials as materials
 from diffopt import samples as samples
 from diffopt.accuracy.studies import study as study
 from diffopt.choice import Choice as Choice
@@ -41,6 +43,7 @@ from diffopt.choice import PreparedBRDF as PreparedBRDF
 from diffopt.diffraction import DiffractionBRDF as DiffractionBRDF
 from diffopt.errors import InputError as InputError
 from diffopt.heightfield import Heightfield as Heightfield
+from diffopt.materials.phong import BlinnPhong as BlinnPhong
 from diffopt.settings import ChebyshevSettings as ChebyshevSettings
 from diffopt.settings import DirectSettings as DirectSettings
 from diffopt.settings import FewSettings as FewSettings

@@ -25,6 +25,11 @@ def above_horizon(
     return valid, jnp.where(valid[..., None], wi, normal), jnp.where(valid[..., None], wo, normal)
 
 
+def dot(a: Float[Array, "... 3"], b: Float[Array, "... 3"]) -> Float[Array, "..."]:
+    """Scalar product, written out: a reduction over three keeps the compiler from fusing."""
+    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
+
+
 def wave_vector(wi: Float[Array, "... 3"], wo: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
     """(u, v, w) = -(wi + wo): Stam's k1 - k2 over k, with w in [-2, 0]."""
     return -(wi + wo)

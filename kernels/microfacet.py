@@ -28,6 +28,8 @@ import numpy as np
 from jax.scipy.special import erf, erfinv
 from jaxtyping import Array, Float
 
+from diffopt.kernels.frames import dot
+
 Normals = Literal["ggx", "beckmann", "gaussian"]
 Masking = Literal["correlated", "uncorrelated", "v-cavity"]
 Alpha = tuple[Float[Array, "*#batch"], Float[Array, "*#batch"]]
@@ -161,7 +163,7 @@ def visibility(
     ci, co = wi[..., 2], wo[..., 2]
     if kind == "v-cavity":
         # 2 hz / (o.h) = 4 (ci + co) / |wi + wo|^2.
-        total = ((wi + wo) ** 2).sum(-1)
+        total = dot(wi + wo, wi + wo)
         return 0.25 * jnp.minimum(1.0 / (ci * co), 4.0 * (ci + co) / (total * jnp.maximum(ci, co)))
     ai, ao = projected_area(normals, wi, alpha), projected_area(normals, wo, alpha)
     if kind == "uncorrelated":
@@ -176,7 +178,7 @@ def visible_density(
     alpha: Alpha,
 ) -> Float[Array, "*batch"]:
     """Density per steradian of the normals that w sees, D(h) max(w.h, 0) / A(w)."""
-    facing = jnp.maximum((w * h).sum(-1), 0.0)
+    facing = jnp.maximum(dot(w, h), 0.0)
     return density(normals, h, alpha) * facing / projected_area(normals, w, alpha)
 
 

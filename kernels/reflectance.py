@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from diffopt.kernels import warps
+from diffopt.kernels.frames import dot
 
 Form = Literal["reflected", "halfway"]
 Pair = Float[Array, "*batch 3"]
@@ -41,7 +42,8 @@ def lobe_angle(form: Form, wi: Pair, wo: Pair) -> tuple[Value, Value]:
         See the module.
     """
     if form == "reflected":
-        gap = 0.25 * ((mirrored(wi) - wo) ** 2).sum(-1)  # sin^2 (psi / 2)
+        apart = mirrored(wi) - wo
+        gap = 0.25 * dot(apart, apart)  # sin^2 (psi / 2)
     else:
         _, gap = half_angle(wi, wo)
     return 1.0 - 2.0 * gap, 4.0 * gap * (1.0 - gap)

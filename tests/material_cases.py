@@ -6,7 +6,7 @@ import numpy as np
 from hard_cases import LD, PI, Hard
 from scipy.special import erf
 
-from diffopt.kernels import microfacet, reflectance, warps
+from diffopt.kernels import frames, microfacet, reflectance, warps
 
 # Directions: grazing, near the normal, and between; azimuths that share no plane.
 GRAZING = (np.sqrt(1 - 1e-8) * 0.6, np.sqrt(1 - 1e-8) * 0.8, 1e-4)
@@ -256,6 +256,14 @@ def _oren_nayar(sigma, wi, wo):
 
 
 def _formulas():
+    yield Hard(
+        "frames.dot",
+        "a small component",
+        frames.dot,
+        (np.array(SLANT), np.array((0.6, 1e-9, 0.35))),
+        lambda a, b: (a * b).sum(),
+        ulps=16,  # against the largest term below
+    )
     other = (-0.479, 0.361, np.sqrt(1 - 0.479**2 - 0.361**2))
     yield Hard(
         "reflectance.mirrored",

@@ -34,6 +34,9 @@ NAMES: dict[str, str] = {
     "diffraction.table": "diffopt.accuracy.table_studies:TABLE",
     "diffraction.wavelengths": "diffopt.accuracy.spectral_studies:SPECTRUM",
     "diffraction.window": "diffopt.accuracy.diffraction:WINDOW",
+    "material.colour": "diffopt.accuracy.material_studies:COLOURS",
+    "material.fresnel": "diffopt.accuracy.material_studies:FRESNEL",
+    "material.masking": "diffopt.accuracy.material_studies:MASKING",
 }
 
 Value = str | int | float | bool

@@ -139,3 +139,27 @@ def diffraction(
         console.print(f"warning: {warning}", style="yellow")
     if output is not None:
         console.print(f"tables: {output}")
+
+
+@app.command("materials")
+def materials(
+    count: Annotated[int, typer.Option(help="Pairs, and samples, of one run.")] = 1_000_000,
+    repeats: Annotated[int, typer.Option(help="Runs of which the median counts.")] = 5,
+    output: Annotated[Path | None, typer.Option("-o", help="Folder for materials.csv.")] = None,
+) -> None:
+    """Evaluations and samples per second of every material, beside Mitsuba's if installed.
+
+    Mitsuba's vectorised variant runs where DRJIT_LIBLLVM_PATH names an LLVM library above 15.
+    """
+    from diffopt.accuracy import material_throughput
+    from diffopt.cli.output import folder
+    from diffopt.cli.progress import terminal
+
+    with contextlib.ExitStack() as stack:
+        staging = None if output is None else stack.enter_context(folder(output))
+        rows = material_throughput.compare(count, repeats)
+        if staging is not None:
+            material_throughput.save_csv(rows, staging / "materials.csv")
+    terminal().print(material_throughput.table(rows))
+    if output is not None:
+        terminal().print(f"table: {output}")

@@ -245,7 +245,8 @@ def tint(shape: Float[Array, "*batch"], colour: Float[Array, "..."]) -> Float[Ar
 def floating(x: Any) -> Array:
     """Array of the caller's floating type; Python and integer numbers in the default type."""
     x = jnp.asarray(x)
-    return x if jnp.issubdtype(x.dtype, jnp.floating) else x.astype(float)
+    kind = x.dtype if jnp.issubdtype(x.dtype, jnp.floating) else jnp.result_type(float)
+    return jax.lax.convert_element_type(x, kind)  # Python numbers lose their weak type
 
 
 def unit_square(nodes: int, dtype: Any) -> tuple[Float[Array, "M 3"], Float[Array, " M"]]:

@@ -17,6 +17,7 @@ from diffopt import checks
 from diffopt.errors import InputError
 from diffopt.fresnel import Constant, Reflectance
 from diffopt.kernels import microfacet, warps
+from diffopt.kernels.frames import dot
 from diffopt.kernels.microfacet import Masking, Normals
 from diffopt.materials.base import Material, floating, times, unit_square
 from diffopt.materials.checking import one_of, within
@@ -132,7 +133,7 @@ class Microfacet(Material):
     def value(self, wi: Array, wo: Array) -> Array:
         """See `Material`."""
         total = wi + wo
-        length = jnp.sqrt((total**2).sum(-1))
+        length = jnp.sqrt(dot(total, total))
         half = total / length[..., None]
         d = microfacet.density(self.normals, half, self._alpha)
         g = microfacet.visibility(self.masking, self.normals, wi, wo, self._alpha)
@@ -147,12 +148,12 @@ class Microfacet(Material):
             half = warps.gaussian_angle(u[..., :2], self.alpha[0])
         else:
             half = microfacet.sample_visible(self.normals, u[..., :2], wo, self._alpha)
-        return 2.0 * (half * wo).sum(-1, keepdims=True) * half - wo
+        return 2.0 * dot(half, wo)[..., None] * half - wo
 
     def density(self, wi: Array, wo: Array) -> Array:
         """See `Material`."""
         total = wi + wo
-        length2 = (total**2).sum(-1)
+        length2 = dot(total, total)
         ok = length2 > 1e-12
         length = jnp.sqrt(jnp.where(ok, length2, 1.0))
         half = total / length[..., None]
@@ -162,7 +163,7 @@ class Microfacet(Material):
             pdf = warps.gaussian_angle_density(angle, self.alpha[0]) / (2.0 * length)
         else:
             # D (o.h) / A over the solid angle 4 (o.h); facets that face away are not seen.
-            facing = (half * wo).sum(-1) > 0.0
+            facing = dot(half, wo) > 0.0
             area = microfacet.projected_area(self.normals, wo, self._alpha)
             pdf = microfacet.density(self.normals, half, self._alpha) / (4.0 * area)
             pdf = jnp.where(facing, pdf, 0.0)

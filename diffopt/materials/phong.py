@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from diffopt import checks
 from diffopt.kernels import reflectance, warps
+from diffopt.kernels.frames import dot
 from diffopt.kernels.reflectance import Form
 from diffopt.materials.base import Material, floating, tint
 from diffopt.materials.checking import one_of, within
@@ -163,15 +164,15 @@ def _about_half(sin2: Array, turn: Array, wo: Array) -> Array:
     sin, cos = jnp.sqrt(jnp.maximum(sin2, tiny)), jnp.sqrt(jnp.maximum(1.0 - sin2, tiny))
     angle = 2.0 * math.pi * turn
     half = jnp.stack([sin * jnp.cos(angle), sin * jnp.sin(angle), cos], -1)
-    return 2.0 * (half * wo).sum(-1, keepdims=True) * half - wo
+    return 2.0 * dot(half, wo)[..., None] * half - wo
 
 
 def _stretch(wi: Array, wo: Array) -> Array:
     """Solid angle of wi over that of the half vector, 4 |wo.h| = 2 |wi + wo|."""
-    return 2.0 * jnp.sqrt(((wi + wo) ** 2).sum(-1))
+    return 2.0 * jnp.sqrt(dot(wi + wo, wi + wo))
 
 
 def _regular(wi: Array, wo: Array) -> tuple[Array, Array]:
     """Light directions where a half vector exists, else the viewer's; and where it does."""
-    ok = ((wi + wo) ** 2).sum(-1) > 1e-12
+    ok = dot(wi + wo, wi + wo) > 1e-12
     return jnp.where(ok[..., None], wi, wo), ok
