@@ -354,6 +354,10 @@ def test_diffraction_as_a_material():
     alone = materials.Diffraction(brdf, lam)
     expected = brdf(wi, wo, lam)
     np.testing.assert_allclose(alone.f(wi, wo), expected, rtol=2e-4, atol=1e-6)
+    drawn = alone.sample(jax.random.key(1), np.broadcast_to(at(30.0), (4000, 3)))
+    mean, spread = drawn.weight.mean(0), drawn.weight.std(0) / np.sqrt(4000)
+    # Five standard errors, and the quadrature of the speckle.
+    assert bool((abs(alone.albedo(at(30.0)) - mean) < 5 * spread + 0.03 * mean).all())
     mixed = materials.Diffraction(brdf, lam, texture=[0.2, 0.4, 0.6]).f(wi, wo)
     rho = np.asarray(brdf.relative(wi, wo, lam))
     diffuse = (1 - np.clip(rho, 0, 1)) * np.array([0.2, 0.4, 0.6]) / np.pi

@@ -6,6 +6,7 @@
 `diffraction`     ``diffopt diffraction``: pictures and numbers of one scan
 `results`         its ``result.npz`` and ``result.json``
 `demo`            ``diffopt demo``: all pictures of an embedded disc, as a page
+`material`        ``diffopt material``: pictures and properties of a material
 `studying`        ``diffopt accuracy`` and ``diffopt bench``
 `comparing`       ``diffopt compare``
 `inspection`      ``diffopt samples`` and ``diffopt info``

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from diffopt import __version__
-from diffopt.cli import comparing, demo, diffraction, errors, inspection, studying
+from diffopt.cli import comparing, demo, diffraction, errors, inspection, material, studying
 from diffopt.errors import InputError
 
 app = typer.Typer(
@@ -20,6 +20,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command("diffraction")(diffraction.command)
+app.command("material")(material.command)
 app.command("demo")(demo.command)
 app.command("accuracy")(studying.accuracy)
 app.add_typer(comparing.app, name="compare")

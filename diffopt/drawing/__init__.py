@@ -6,6 +6,7 @@
 `meshfiles`  meshes from files and arrays: winding, creases, normals
 `tangents`   directions of the material on a mesh
 `views`      what the pictures show, as numbers
+`lobes`      pictures of one material: lobes, map, ball, albedo, swatch
 `tones`      gamut, exposure and tone curve for a display
 `pictures`   figures and files
 `frames`     pictures at interactive rates, for moving lights

@@ -8,6 +8,9 @@
 `interfaces`       mirrors, glass, ground glass
 `combined`         sums, scaled materials, emission
 `diffracting`      a diffracting surface as a material
+`naming`           materials by name or file, for the command line
+`report`           what a material declares, and whether it holds
+`checking`         checks of parameters
 =================  ==============================================================
 """
 

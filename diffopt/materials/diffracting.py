@@ -11,7 +11,7 @@ from diffopt.choice import PreparedBRDF
 from diffopt.diffraction import DiffractionBRDF
 from diffopt.errors import InputError
 from diffopt.kernels import reflectance, warps
-from diffopt.materials.base import Material, floating
+from diffopt.materials.base import Material, floating, unit_square
 from diffopt.materials.phong import turned
 
 
@@ -118,6 +118,13 @@ class Diffraction(Material):
         angle = reflectance.lobe_angle("reflected", wi, wo)
         peak = warps.power_cosine_density(*angle, self._exponent)
         return 0.5 * (peak + jnp.maximum(wi[..., 2], 0.0) / math.pi)
+
+    def integrate(self, wo: Array, nodes: int) -> Array:
+        """See `Material`; both halves of `warp` take part."""
+        points, weights = unit_square(nodes, wo.dtype)
+        wo = jnp.broadcast_to(wo, points.shape)
+        halves = [self.scatter(points.at[:, 2].set(share), wo).weight for share in (0.25, 0.75)]
+        return 0.5 * jnp.tensordot(weights, halves[0] + halves[1], 1, precision="highest")
 
     @property
     def _exponent(self) -> Array:
