@@ -23,6 +23,7 @@
 `few`                  a few wavelengths, the mirror peak apart
 `accuracy`             studies of accuracy against time, and benchmarks
 `fresnel`              reflectance of mirrors, glasses and metals
+`glasses`              glasses and water by Sellmeier's formula
 `materials`            how surfaces scatter light: values, samples, densities, albedos
 `colour`               spectra to XYZ to sRGB
 `illuminants`          illuminants, the observer, weights from spectra to XYZ

@@ -146,6 +146,22 @@ def schlick(cos: Batch, r0: Value) -> Batch:
     return r0 + (1.0 - r0) * (1.0 - cos) ** 5
 
 
+def index_from_normal(r0: Batch) -> Batch:
+    """Index above 1 of a dielectric from its reflectance at normal incidence.
+
+    ``(1 + sqrt(r0)) / (1 - sqrt(r0))``: Cook and Torrance, "A reflectance model for computer
+    graphics" (1982), section on Fresnel. The slope grows as 1 / sqrt(r0) and is 0 at r0 = 0.
+
+    Parameters
+    ----------
+    r0
+        Power reflectance, in [0, 1).
+    """
+    lit = r0 > _smallest(r0)
+    root = jnp.where(lit, jnp.sqrt(jnp.where(lit, r0, 1.0)), 0.0)
+    return (1.0 + root) / (1.0 - root)
+
+
 def index_from_permittivity(real: Batch, imag: Batch) -> tuple[Batch, Batch]:
     """Complex index eta + i k, the root of a relative permittivity with imag >= 0.
 

@@ -40,9 +40,9 @@ def rusinkiewicz(wi: Pair, wo: Pair) -> tuple[Value, Value, Value]:
     s, d = wi + wo, wi - wo
     across2 = s[..., 0] ** 2 + s[..., 1] ** 2
     across = _root(across2)
-    length = _root((s * s).sum(-1))
+    length = _root(across2 + s[..., 2] ** 2)
     theta_h = _angle(across, s[..., 2])
-    theta_d = _angle(_root((d * d).sum(-1)), length)
+    theta_d = _angle(_root(d[..., 0] ** 2 + d[..., 1] ** 2 + d[..., 2] ** 2), length)
     # d in the frame of the half vector, both coordinates times |s| across.
     turn = (d[..., 1] * s[..., 0] - d[..., 0] * s[..., 1]) * length
     along = (d[..., 0] * s[..., 0] + d[..., 1] * s[..., 1]) * s[..., 2] - d[..., 2] * across2

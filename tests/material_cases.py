@@ -6,7 +6,7 @@ import numpy as np
 from hard_cases import LD, PI, Hard
 from scipy.special import erf
 
-from diffopt.kernels import frames, microfacet, reflectance, warps
+from diffopt.kernels import frames, fresnel, microfacet, reflectance, warps
 
 # Directions: grazing, near the normal, and between; azimuths that share no plane.
 GRAZING = (np.sqrt(1 - 1e-8) * 0.6, np.sqrt(1 - 1e-8) * 0.8, 1e-4)
@@ -256,6 +256,16 @@ def _oren_nayar(sigma, wi, wo):
 
 
 def _formulas():
+    for r0 in (0.0, 1e-10, 0.04, 0.9):
+        yield Hard(
+            "fresnel.index_from_normal",
+            f"r0={r0}",
+            fresnel.index_from_normal,
+            (r0,),
+            lambda r0: (1 + np.sqrt(r0)) / (1 - np.sqrt(r0)),
+            smooth=r0 > 1e-6,
+            ulps=64 if r0 > 0.5 else 8,  # 1 - sqrt(r0)
+        )
     yield Hard(
         "frames.dot",
         "a small component",

@@ -4,8 +4,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffopt import fresnel
+from diffopt import fresnel, glasses
 from diffopt.errors import InputError
+from diffopt.kernels import fresnel as kernel
 
 LAM = np.array([0.4, 0.55, 0.7])
 ALL = {
@@ -19,6 +20,7 @@ ALL = {
     "ag": fresnel.metal("Ag"),
     "au": fresnel.metal("Au"),
     "cu": fresnel.metal("Cu"),
+    "water": glasses.glass("water"),
 }
 # A few roundings in float32, parameters rounded once.
 TOL = {"float32": 2e-5, "float64": 1e-13}
@@ -182,3 +184,22 @@ def test_parse_metals(text):
 def test_parse_errors(text, message):
     with pytest.raises(InputError, match=message):
         fresnel.parse(text)
+
+
+@pytest.mark.parametrize(
+    ("name", "n_d", "dispersion"),
+    # Index at 587.6 nm and n_F - n_C, as the sources of the coefficients tabulate them.
+    [("n-bk7", 1.51680, 0.008054), ("silica", 1.45846, 0.006761), ("water", 1.33342, 0.00597)],
+)
+def test_glasses_have_their_published_index(name, n_d, dispersion):
+    index = glasses.glass(name).index(jnp.asarray([0.5875618, 0.4861327, 0.6562725]))
+    assert float(index[0]) == pytest.approx(n_d, abs=1.5e-4)
+    assert float(index[1] - index[2]) == pytest.approx(dispersion, rel=0.01)
+    with pytest.raises(InputError, match="one of n-bk7, silica, water, diamond; received 'ruby'"):
+        glasses.glass("ruby")
+
+
+def test_index_from_the_reflectance_at_normal_incidence():
+    n = jnp.asarray([1.0, 1.33, 1.5, 2.4])
+    r0 = kernel.dielectric(jnp.ones(4), n)
+    np.testing.assert_allclose(kernel.index_from_normal(r0), n, rtol=1e-5)

@@ -166,6 +166,15 @@ def test_what_a_material_declares_holds(name):
         np.testing.assert_allclose(a * scale, b, rtol=2e5 * eps, atol=1e-6 * eps)
 
 
+@pytest.mark.parametrize("name", ["blinn-phong", "phong-halfway", "ggx", "ground glass"])
+def test_albedo_of_many_directions(name):
+    """Sixteen at once, in float32, give what one at a time gives."""
+    views = at(np.linspace(0.0, 85.0, 16)).astype(np.float32)
+    together = MODELS[name].albedo(views)
+    alone = [float(MODELS[name].albedo(view)) for view in views]
+    np.testing.assert_allclose(together, alone, atol=3e-6)
+
+
 def test_what_is_not_declared():
     assert not Phong(0.9, 40.0, normalisation="book").reciprocal
     assert not Phong(0.9, 40.0, normalisation="book").conserves_energy

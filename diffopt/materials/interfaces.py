@@ -19,6 +19,7 @@ from jaxtyping import Array, Float
 
 from diffopt.fresnel import Constant, Reflectance
 from diffopt.kernels import fresnel, microfacet, reflectance
+from diffopt.kernels.frames import dot
 from diffopt.materials.base import Material, Sample, floating, unit_square
 from diffopt.materials.checking import one_of, within
 from diffopt.materials.microfacet import SODIUM, facet_reflectance, widths
@@ -202,7 +203,7 @@ class RoughDielectric(Material):
     def warp(self, u: Array, wo: Array) -> Array:
         """See `Material`."""
         half, m, f = self._facets(u, wo)
-        cos = (half * wo).sum(-1)
+        cos = dot(half, wo)
         inner = 1.0 - (1.0 - cos * cos) / (m * m)
         # Beyond the critical angle nothing is refracted: the choice below never takes it.
         inner = jnp.sqrt(jnp.maximum(inner, 1e-12))
