@@ -35,6 +35,13 @@ def test_three_numbers_do_not_carry_gold():
     assert fine.error < 1e-3 < 1e-2 < rgb.error < 0.1
 
 
+def test_linear_lookup_is_of_second_order():
+    result = diffopt.study("material.table").run(quick=True)
+    error = {(row.settings["rows"], row.settings["lookup"]): row.error for row in result.rows}
+    assert error[30, "linear"] < 0.5 * error[30, "nearest"]
+    assert error[30, "linear"] < 0.5 * error[15, "linear"]
+
+
 def test_throughput(tmp_path, capsys, monkeypatch):
     kept = ("lambert", "conductor, ggx")
     every = material_throughput.models()

@@ -10,8 +10,10 @@ from diffopt.kernels import frames, tabulated
 from diffopt.materials import BlinnPhong, Lambert, Microfacet
 from diffopt.materials.goniometer import measure, tabulate
 from diffopt.materials.merl import Merl, load_merl, save_merl
+from diffopt.materials.pbsdf import load_pbsdf
+from diffopt.materials.rgl import load_rgl
 from diffopt.materials.scattered import Scattered, load_table
-from diffopt.materials.tensorfile import load_pbsdf, load_rgl, read_tensors, write_tensors
+from diffopt.materials.tensorfile import read_tensors, write_tensors
 
 SHAPE = (12, 10, 8)
 

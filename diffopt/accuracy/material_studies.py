@@ -8,9 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffopt import colour
+from diffopt.accuracy.comparison import random_pairs
 from diffopt.accuracy.studies import Case, Job, Study
 from diffopt.fresnel import Dielectric, Reflectance, metal
 from diffopt.kernels import fresnel, microfacet
+from diffopt.materials import BlinnPhong, Merl, Microfacet
+from diffopt.materials.goniometer import tabulate
 
 
 def _fresnel(quick: bool) -> list[Case]:
@@ -210,4 +213,55 @@ COLOURS = Study(
     reference="Fresnel's equations at 1 nm in float64",
     cases=_colours,
     conditions=("metal", "bounces"),
+)
+
+
+def _tables(quick: bool) -> list[Case]:
+    """Tables over half and difference angles: their size, nearest or linear."""
+    count = 2_000 if quick else 20_000
+    wi, wo = random_pairs(count)
+    models = {"ggx 0.3": lambda: Microfacet(0.3)}
+    if not quick:
+        models |= {"ggx 0.1": lambda: Microfacet(0.1), "blinn 50": lambda: BlinnPhong(1.0, 50.0)}
+
+    def look(table, wi, wo):
+        return table.value(wi, wo)
+
+    @functools.cache
+    def expected(name):
+        with jax.enable_x64(True):
+            return np.asarray(models[name]().f(np.asarray(wi), np.asarray(wo)))
+
+    def case(name, rows, nearest):
+        def judge(value):
+            right = expected(name)
+            error = np.abs(np.asarray(value, np.float64).reshape(right.shape) - right)
+            return float(error.max() / right.max()), (
+                f"mean over mean {error.mean() / right.mean():.1e}"
+            )
+
+        def build():
+            made = tabulate(models[name](), shape=(rows, rows, 2 * rows))
+            table = Merl(made.table, nearest=nearest)
+            pair = (jnp.asarray(w, "float32") for w in (wi, wo))
+            return Job(look, (table, *pair), judge)
+
+        lookup = "nearest" if nearest else "linear"
+        return Case({"material": name, "rows": rows, "lookup": lookup}, "float32", build)
+
+    return [
+        case(name, rows, nearest)
+        for name in models
+        for rows in ((15, 30) if quick else (30, 60, 90))
+        for nearest in (True, False)
+    ]
+
+
+TABLES = Study(
+    name="material.table",
+    quantity="lookup of f in a table of half and difference angles (rows x rows x 2 rows), "
+    "largest error over the largest value, random pairs within 75 degrees",
+    reference="the material that the table was made of, in float64",
+    cases=_tables,
+    conditions=("material",),
 )

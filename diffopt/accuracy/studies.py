@@ -37,6 +37,7 @@ NAMES: dict[str, str] = {
     "material.colour": "diffopt.accuracy.material_studies:COLOURS",
     "material.fresnel": "diffopt.accuracy.material_studies:FRESNEL",
     "material.masking": "diffopt.accuracy.material_studies:MASKING",
+    "material.table": "diffopt.accuracy.material_studies:TABLES",
 }
 
 Value = str | int | float | bool

@@ -9,7 +9,7 @@
 `combined`         sums, scaled materials, emission
 `diffracting`      a diffracting surface as a material
 `merl`             measured: MERL tables of half and difference angles
-`tensorfile`       measured: RGL's ``.bsdf`` and polarised ``.pbsdf``
+`rgl`              measured: RGL's ``.bsdf``; `pbsdf`: polarised; `tensorfile`: their files
 `scattered`        measured: tables of a gonioreflectometer
 `goniometer`       a virtual gonioreflectometer, which measures any material
 `naming`           materials by name or file, for the command line
@@ -36,8 +36,8 @@ from diffopt.materials.merl import load_merl as load_merl
 from diffopt.materials.merl import save_merl as save_merl
 from diffopt.materials.microfacet import Microfacet as Microfacet
 from diffopt.materials.microfacet import alpha_from_roughness as alpha_from_roughness
+from diffopt.materials.pbsdf import load_pbsdf as load_pbsdf
 from diffopt.materials.phong import BlinnPhong as BlinnPhong
 from diffopt.materials.phong import Phong as Phong
+from diffopt.materials.rgl import load_rgl as load_rgl
 from diffopt.materials.scattered import load_table as load_table
-from diffopt.materials.tensorfile import load_pbsdf as load_pbsdf
-from diffopt.materials.tensorfile import load_rgl as load_rgl

@@ -70,7 +70,26 @@ class Mirror(Material):
         return facet_reflectance(self.fresnel, self.wavelengths, cos)
 
 
-class Dielectric(Material):
+class _Interface(Material):
+    """What smooth and rough interfaces of transparent media have in common."""
+
+    @property
+    def transmits(self) -> bool:
+        """See `Material`."""
+        return True
+
+    @property
+    def reciprocal(self) -> bool:
+        """Radiance grows on the way in, power on the way out: f / eta_o^2 is symmetric."""
+        return False
+
+    @property
+    def channels(self) -> tuple[int, ...]:
+        """See `Material`."""
+        return ()
+
+
+class Dielectric(_Interface):
     """Smooth transparent interface: perfect reflection and refraction, both delta lobes.
 
     Parameters
@@ -92,21 +111,6 @@ class Dielectric(Material):
     def delta(self) -> bool:
         """See `Material`."""
         return True
-
-    @property
-    def transmits(self) -> bool:
-        """See `Material`."""
-        return True
-
-    @property
-    def reciprocal(self) -> bool:
-        """Radiance grows on the way in, power on the way out: f / eta_o^2 is symmetric."""
-        return False
-
-    @property
-    def channels(self) -> tuple[int, ...]:
-        """See `Material`."""
-        return ()
 
     def value(self, wi: Array, wo: Array) -> Array:
         """See `Material`."""
@@ -138,7 +142,7 @@ class Dielectric(Material):
         return reflected + (1.0 - reflected) * _scale(m, self.radiance)
 
 
-class RoughDielectric(Material):
+class RoughDielectric(_Interface):
     """Rough transparent interface, ground glass: reflection and transmission by facets.
 
     Parameters
@@ -164,21 +168,6 @@ class RoughDielectric(Material):
         """Check the values, where they are known."""
         within("eta", self.eta, 0.0, 100.0, above=True)
         within("alpha", self.alpha, 0.0, 4.0, above=True)
-
-    @property
-    def transmits(self) -> bool:
-        """See `Material`."""
-        return True
-
-    @property
-    def reciprocal(self) -> bool:
-        """Radiance grows on the way in, power on the way out: f / eta_o^2 is symmetric."""
-        return False
-
-    @property
-    def channels(self) -> tuple[int, ...]:
-        """See `Material`."""
-        return ()
 
     def value(self, wi: Array, wo: Array) -> Array:
         """See `Material`."""

@@ -209,9 +209,9 @@ def load(path: str | Path) -> Subject:
     if kind == "MERL":
         from diffopt.materials.merl import load_merl as read
     elif kind == "RGL":
-        from diffopt.materials.tensorfile import load_rgl as read
+        from diffopt.materials.rgl import load_rgl as read
     elif kind == "polarised":
-        from diffopt.materials.tensorfile import load_pbsdf as read
+        from diffopt.materials.pbsdf import load_pbsdf as read
     else:
         from diffopt.materials.scattered import load_table as read
     material = read(path)
