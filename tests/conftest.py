@@ -39,9 +39,10 @@ def pytest_addoption(parser):
 
 def pytest_generate_tests(metafunc):
     if "surface_name" in metafunc.fixturenames:
-        samples = ["compact_disc", "snake_skin"]
+        samples = ["compact_disc", "snake_skin", "gaussian_roughness"]
         metafunc.parametrize("surface_name", samples + metafunc.config.getoption("scan"))
-    if "dtype" in metafunc.fixturenames:
+    named = [m.args[0] for m in metafunc.definition.iter_markers("parametrize")]
+    if "dtype" in metafunc.fixturenames and not any("dtype" in names for names in named):
         metafunc.parametrize("dtype", DTYPES)
 
 

@@ -960,7 +960,7 @@ def _splines():
                 smooth=order == 3 or (order == 2 and t < 0.5) or (0 < t < 1 and shift == 1),
                 gradient_ulps=1e9 if t == 1e-8 else 1e3,
             )
-        table = np.cos(np.arange(6 * 7 * 6.0)).reshape(6, 7, 6, 1)
+        table = np.cos(np.arange(5 * 6 * 5.0)).reshape(5, 6, 5, 1)
         for x in (2.0, 2.5, 3.9999, 4.0):
             yield Hard(
                 "spline.lookup",
