@@ -175,7 +175,7 @@ def move_origin(
 
 def axis_bins(
     samples: int, step: float, frequency: Float[Array, "*batch"], reach: int
-) -> tuple[Array, Float[Array, "taps *batch"]]:
+) -> tuple[Array, Float[Array, " taps *batch"]]:
     """First bin of the gather in the padded table, and the distance of every bin taken.
 
     Returns

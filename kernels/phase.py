@@ -166,7 +166,7 @@ def chebyshev_polynomials(t: Float[Array, "*batch"], count: int) -> Float[Array,
     return jnp.moveaxis(chebyshev_rows(t, count), 0, -1)
 
 
-def chebyshev_rows(t: Float[Array, "*batch"], count: int) -> Float[Array, "count *batch"]:
+def chebyshev_rows(t: Float[Array, "*batch"], count: int) -> Float[Array, " count *batch"]:
     """`chebyshev_polynomials` with the polynomials on the first axis, as they are made."""
 
     def step(carry, _):

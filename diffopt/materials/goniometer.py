@@ -45,7 +45,7 @@ class Measurement(eqx.Module):
     """
 
     angles: Float[Array, "N 4"]
-    values: Float[Array, "N *C"]
+    values: Float[Array, " N *C"]
     measured: Bool[np.ndarray, " N"]
     wavelengths: Float[Array, " C"] | None
     shape: tuple[int, ...] = eqx.field(static=True)

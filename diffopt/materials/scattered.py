@@ -68,7 +68,7 @@ class Scattered(LobeSampled):
     """
 
     points: Float[Array, "N D"]
-    values: Float[Array, "N *C"]
+    values: Float[Array, " N *C"]
     wavelengths: Float[Array, " C"] | None
     lobe: HalfLobe
     isotropic: bool = eqx.field(static=True)

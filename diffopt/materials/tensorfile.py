@@ -7,11 +7,13 @@ shape (uint64 each); all little-endian. Mitsuba 3 reads the same files. `diffopt
 and `diffopt.materials.pbsdf` make materials of them.
 """
 
+import math
 import os
 import struct
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from diffopt import checks
