@@ -12,7 +12,7 @@ JOBS ?= 2
 # What the pass without 64-bit types runs beside the kernels.
 FLOAT32 = tests/test_lookup.py tests/test_methods.py::test_float32_carries_deep_surfaces \
 	tests/test_methods.py::test_float32_refuses_what_it_cannot_carry \
-	tests/test_materials.py::test_hard_cases tests/test_materials.py::test_what_a_material_declares_holds
+	tests/test_materials.py
 
 .PHONY: demo test lint notebooks clean
 

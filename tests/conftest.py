@@ -41,8 +41,7 @@ def pytest_generate_tests(metafunc):
     if "surface_name" in metafunc.fixturenames:
         samples = ["compact_disc", "snake_skin", "gaussian_roughness"]
         metafunc.parametrize("surface_name", samples + metafunc.config.getoption("scan"))
-    named = [m.args[0] for m in metafunc.definition.iter_markers("parametrize")]
-    if "dtype" in metafunc.fixturenames and not any("dtype" in names for names in named):
+    if "dtype" in metafunc.fixturenames:
         metafunc.parametrize("dtype", DTYPES)
 
 

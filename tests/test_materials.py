@@ -13,8 +13,6 @@ from diffopt import fresnel, materials
 from diffopt.materials import BlinnPhong, Lambert, Microfacet, OrenNayar, Phong, RoughDielectric
 from reference import directions
 
-pytestmark = pytest.mark.float32
-
 
 def at(degrees, azimuth=0.7):
     """Unit vectors at angles to the normal."""
@@ -129,6 +127,7 @@ def test_sampling_follows_the_density(name, degrees):
     assert bool(jnp.isfinite(found.weight).all())
 
 
+@pytest.mark.float32
 @pytest.mark.parametrize("name", MODELS)
 def test_what_a_material_declares_holds(name):
     """Energy in the furnace, reciprocity; albedo by its own sampling against plain quadrature."""
@@ -258,8 +257,6 @@ def test_roughness(mapping):
 @pytest.mark.parametrize("name", SMOOTH)
 def test_gradients_in_every_parameter(name):
     """Reverse mode against central differences, in parameters and in both directions."""
-    if not jax.config.jax_enable_x64:
-        pytest.skip("differences need float64")
     material = SMOOTH[name].typed(jnp.float64)
     wi, wo = at(25.0), at(48.0, 0.7 + np.pi + 0.2)
     if name == "ggx-0.02":

@@ -10,7 +10,7 @@ make `sample`, a quadrature rule makes `albedo`, a low-discrepancy sequence make
 """
 
 import abc
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -56,6 +56,10 @@ class Material(eqx.Module):
     `conserves_energy`, an albedo of at most 1 in every direction; `delta`, lobes that `f` and
     `pdf` leave out; `transmits`, values for directions on opposite sides.
     """
+
+    #: Third coordinates of the unit cube over which `integrate` averages: one in the middle of
+    #: each equal share that `warp` tells apart.
+    choices: ClassVar[tuple[float, ...]] = (0.5,)
 
     @property
     def reciprocal(self) -> bool:
@@ -181,7 +185,7 @@ class Material(eqx.Module):
 
     def integrate(self, wo: Float[Array, "3"], nodes: int) -> Float[Array, "..."]:
         """The integral of f cos over the sphere for one wo, by Gauss's rule."""
-        points, weights = unit_square(nodes, wo.dtype)
+        points, weights = unit_square(nodes, wo.dtype, self.choices)
         sample = self.scatter(points, jnp.broadcast_to(wo, points.shape))
         return jnp.tensordot(weights, sample.weight, 1, precision="highest")
 
@@ -249,12 +253,16 @@ def floating(x: Any) -> Array:
     return jax.lax.convert_element_type(x, kind)  # Python numbers lose their weak type
 
 
-def unit_square(nodes: int, dtype: Any) -> tuple[Float[Array, "M 3"], Float[Array, " M"]]:
-    """Points of Gauss's rule on the square, the third coordinate 1/2, and their weights."""
+def unit_square(
+    nodes: int, dtype: Any, choices: tuple[float, ...] = (0.5,)
+) -> tuple[Float[Array, "M 3"], Float[Array, " M"]]:
+    """Points of Gauss's rule on the square at each third coordinate, and their weights."""
     x, w = np.polynomial.legendre.leggauss(nodes)
     x, w = 0.5 * (x + 1.0), 0.5 * w
-    points = np.stack([*np.broadcast_arrays(x[:, None], x[None, :]), np.full((nodes, nodes), 0.5)])
-    return jnp.asarray(points.reshape(3, -1).T, dtype), jnp.asarray(np.outer(w, w).ravel(), dtype)
+    choice, *across = np.meshgrid(choices, x, x, indexing="ij")
+    points = np.stack([*across, choice], -1).reshape(-1, 3)
+    weights = np.tile(np.outer(w, w).ravel(), len(choices)) / len(choices)
+    return jnp.asarray(points, dtype), jnp.asarray(weights, dtype)
 
 
 @eqx.filter_jit

@@ -1,7 +1,7 @@
 """A diffracting surface as a material, alone or over a diffuse texture."""
 
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -11,7 +11,7 @@ from diffopt.choice import PreparedBRDF
 from diffopt.diffraction import DiffractionBRDF
 from diffopt.errors import InputError
 from diffopt.kernels import reflectance, warps
-from diffopt.materials.base import Material, floating, unit_square
+from diffopt.materials.base import Material, floating
 from diffopt.materials.phong import turned
 
 
@@ -42,6 +42,7 @@ class Diffraction(Material):
     brdf: DiffractionBRDF | PreparedBRDF
     wavelengths: Float[Array, " L"]
     texture: Float[Array, "..."] | None
+    choices: ClassVar[tuple[float, ...]] = (0.25, 0.75)
 
     def __init__(self, brdf: Any, wavelengths: Any = None, texture: Any = None) -> None:
         """See the class."""
@@ -118,13 +119,6 @@ class Diffraction(Material):
         angle = reflectance.lobe_angle("reflected", wi, wo)
         peak = warps.power_cosine_density(*angle, self._exponent)
         return 0.5 * (peak + jnp.maximum(wi[..., 2], 0.0) / math.pi)
-
-    def integrate(self, wo: Array, nodes: int) -> Array:
-        """See `Material`; both halves of `warp` take part."""
-        points, weights = unit_square(nodes, wo.dtype)
-        wo = jnp.broadcast_to(wo, points.shape)
-        halves = [self.scatter(points.at[:, 2].set(share), wo).weight for share in (0.25, 0.75)]
-        return 0.5 * jnp.tensordot(weights, halves[0] + halves[1], 1, precision="highest")
 
     @property
     def _exponent(self) -> Array:

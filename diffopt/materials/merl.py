@@ -9,7 +9,7 @@ by 1/1500, 1.15/1500 and 1.66/1500; the last angle runs fastest. Negative entrie
 import abc
 import math
 import os
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -21,7 +21,7 @@ from diffopt import checks
 from diffopt.errors import InputError
 from diffopt.io.files import describe, existing_file, replacing
 from diffopt.kernels import tabulated, warps
-from diffopt.materials.base import Material, floating, unit_square
+from diffopt.materials.base import Material, floating
 
 #: Entries over theta_h, theta_d and phi_d in the files of the database.
 MERL_SHAPE = (90, 90, 180)
@@ -102,6 +102,13 @@ class HalfSampled(Material):
     The cosine's half keeps weights bounded where the half vectors' density misses light.
     """
 
+    choices: ClassVar[tuple[float, ...]] = (0.25, 0.75)
+
+    @property
+    def conserves_energy(self) -> bool:
+        """See `Material`; a measurement promises nothing."""
+        return False
+
     @abc.abstractmethod
     def half(
         self, u: Float[Array, "*batch 2"], wo: Float[Array, "*batch 3"]
@@ -126,14 +133,6 @@ class HalfSampled(Material):
         """See `Material`."""
         cosine = jnp.maximum(wi[..., 2], 0.0) / math.pi
         return 0.5 * (self.half_density(wi, wo) + cosine)
-
-    def integrate(self, wo: Array, nodes: int) -> Array:
-        """See `Material`; one rule for each half of the density."""
-        points, weights = unit_square(nodes, wo.dtype)
-        both = jnp.concatenate([points.at[:, 2].set(0.25), points.at[:, 2].set(0.75)])
-        sample = self.scatter(both, jnp.broadcast_to(wo, both.shape))
-        halves = 0.5 * jnp.concatenate([weights, weights])
-        return jnp.tensordot(halves, sample.weight, 1, precision="highest")
 
 
 class LobeSampled(HalfSampled):
@@ -195,11 +194,6 @@ class Merl(LobeSampled):
         means = jnp.where(narrow < 0.0, 0.0, narrow).sum(-1) / jnp.maximum(seen, 1.0)
         theta = 0.5 * np.pi * (np.arange(rows + 1) / rows) ** 2
         self.lobe = half_lobe(theta, means)
-
-    @property
-    def conserves_energy(self) -> bool:
-        """See `Material`; a measurement promises nothing."""
-        return False
 
     @property
     def channels(self) -> tuple[int, ...]:

@@ -54,11 +54,6 @@ class Pbsdf(LobeSampled):
         return False
 
     @property
-    def conserves_energy(self) -> bool:
-        """See `Material`; a measurement promises nothing."""
-        return False
-
-    @property
     def channels(self) -> tuple[int, ...]:
         """See `Material`."""
         return self.table.shape[-1:]

@@ -63,11 +63,6 @@ class Rgl(HalfSampled):
         return False
 
     @property
-    def conserves_energy(self) -> bool:
-        """See `Material`; a measurement promises nothing."""
-        return False
-
-    @property
     def channels(self) -> tuple[int, ...]:
         """See `Material`."""
         return self.values.shape[-1:]

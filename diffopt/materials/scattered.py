@@ -112,11 +112,6 @@ class Scattered(LobeSampled):
         return self.swaps
 
     @property
-    def conserves_energy(self) -> bool:
-        """See `Material`; a measurement promises nothing."""
-        return False
-
-    @property
     def channels(self) -> tuple[int, ...]:
         """See `Material`."""
         return self.values.shape[1:]
