@@ -35,6 +35,28 @@ def dot(a: Float[Array, "... 3"], b: Float[Array, "... 3"]) -> Float[Array, "...
     return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
 
 
+def reflect(w: Float[Array, "... 3"], h: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
+    """Mirror image of a direction at a unit half vector, 2 (h.w) h - w."""
+    return 2.0 * dot(h, w)[..., None] * h - w
+
+
+def half_vector(
+    a: Float[Array, "... 3"], b: Float[Array, "... 3"]
+) -> tuple[Float[Array, "... 3"], Float[Array, "..."], Bool[Array, "..."]]:
+    """Unit vector along the sum of two, its length before, and whether there is one.
+
+    Where the two cancel it is the normal, with length 1. For unit vectors, twice the length is
+    four cosines to the half vector: the solid angle of a direction over that of the half
+    vector that it is mirrored at.
+    """
+    total = a + b
+    length2 = dot(total, total)
+    ok = length2 > 1e-12
+    length = jnp.sqrt(jnp.where(ok, length2, 1.0))
+    normal = jnp.zeros_like(total).at[..., 2].set(1.0)
+    return jnp.where(ok[..., None], total, normal) / length[..., None], length, ok
+
+
 def wave_vector(wi: Float[Array, "... 3"], wo: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
     """(u, v, w) = -(wi + wo): Stam's k1 - k2 over k, with w in [-2, 0]."""
     return -(wi + wo)
@@ -73,3 +95,28 @@ def spherical(theta: Float[Array, "..."], phi: Float[Array, "..."]) -> Float[Arr
     return jnp.stack(
         jnp.broadcast_arrays(sin * jnp.cos(phi), sin * jnp.sin(phi), jnp.cos(theta)), -1
     )
+
+
+def direction(
+    x: Float[Array, "..."], y: Float[Array, "..."], z: Float[Array, "..."]
+) -> Float[Array, "... 3"]:
+    """Vectors from their components.
+
+    Stacked in front and then transposed: stacked along the last axis, a compiled program
+    writes one number after the other (a fifth of the speed on the CPU).
+    """
+    return jnp.moveaxis(jnp.stack([x, y, z]), 0, -1)
+
+
+def tangents(normal: Float[Array, "... 3"]) -> tuple[Float[Array, "... 3"], Float[Array, "... 3"]]:
+    """Two unit vectors that make a right-handed frame with a unit vector.
+
+    Duff et al., "Building an Orthonormal Basis, Revisited" (JCGT 2017): no pole, also not at
+    -z; the frame jumps at z = 0.
+    """
+    x, y, z = normal[..., 0], normal[..., 1], normal[..., 2]
+    sign = jnp.where(z >= 0.0, 1.0, -1.0).astype(z.dtype)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    first = direction(1.0 + sign * x * x * a, sign * b, -sign * x)
+    return first, direction(b, sign + y * y * a, -y)

@@ -19,6 +19,18 @@ Value = Float[Array, "*batch"]
 Corner = tuple[Int[Array, "*batch"], Value]
 
 
+def root(x: Value) -> Value:
+    """Square root, 0 below 0, with slope 0 at 0, where it has none."""
+    some = x > 0.0
+    return jnp.where(some, jnp.sqrt(jnp.where(some, x, 1.0)), 0.0)
+
+
+def angle(y: Value, x: Value) -> Value:
+    """Arctangent of y / x over the full circle, 0 with slope 0 at the origin."""
+    some = (x != 0.0) | (y != 0.0)
+    return jnp.where(some, jnp.arctan2(y, jnp.where(some, x, 1.0)), 0.0)
+
+
 def rusinkiewicz(wi: Pair, wo: Pair) -> tuple[Value, Value, Value]:
     """Half and difference angles of pairs of directions, radians.
 
@@ -39,14 +51,14 @@ def rusinkiewicz(wi: Pair, wo: Pair) -> tuple[Value, Value, Value]:
     """
     s, d = wi + wo, wi - wo
     across2 = s[..., 0] ** 2 + s[..., 1] ** 2
-    across = _root(across2)
-    length = _root(across2 + s[..., 2] ** 2)
-    theta_h = _angle(across, s[..., 2])
-    theta_d = _angle(_root(d[..., 0] ** 2 + d[..., 1] ** 2 + d[..., 2] ** 2), length)
+    across = root(across2)
+    length = root(across2 + s[..., 2] ** 2)
+    theta_h = angle(across, s[..., 2])
+    theta_d = angle(root(d[..., 0] ** 2 + d[..., 1] ** 2 + d[..., 2] ** 2), length)
     # d in the frame of the half vector, both coordinates times |s| across.
     turn = (d[..., 1] * s[..., 0] - d[..., 0] * s[..., 1]) * length
     along = (d[..., 0] * s[..., 0] + d[..., 1] * s[..., 1]) * s[..., 2] - d[..., 2] * across2
-    return theta_h, theta_d, _angle(turn, along)
+    return theta_h, theta_d, angle(turn, along)
 
 
 def half_difference(theta_h: Value, theta_d: Value, phi_d: Value) -> tuple[Pair, Pair]:
@@ -91,7 +103,7 @@ def merl_places(
     """
     rows, columns, depth = shape
     return (
-        rows * _root(theta_h / (0.5 * math.pi)) - 0.5,
+        rows * root(theta_h / (0.5 * math.pi)) - 0.5,
         columns * theta_d / (0.5 * math.pi) - 0.5,
         depth * phi_d / math.pi - 0.5,
     )
@@ -241,18 +253,6 @@ def sample_bilinear(
     return (i.astype(u.dtype) + fx) / (width - 1), (j.astype(v.dtype) + fy) / (height - 1)
 
 
-def _root(x: Array) -> Array:
-    """Square root with slope 0 at 0, where it has none."""
-    some = x > 0.0
-    return jnp.where(some, jnp.sqrt(jnp.where(some, x, 1.0)), 0.0)
-
-
-def _angle(y: Array, x: Array) -> Array:
-    """Arctangent of y / x over the full circle, 0 with slope 0 at the origin."""
-    some = (x != 0.0) | (y != 0.0)
-    return jnp.where(some, jnp.arctan2(y, jnp.where(some, x, 1.0)), 0.0)
-
-
 def _ends(x: Array, count: int, wraps: bool, nearest: bool) -> list[Corner]:
     """Both entries about a place on an axis, with their weights."""
     if nearest:
@@ -322,6 +322,6 @@ def _below(sums: Array, target: Array) -> tuple[Array, Array]:
 
 def _solve(a: Array, b: Array, target: Array) -> Array:
     """Root t in [0, 1] of a t + (b - a) t^2 / 2 = target, without cancellation for a near b."""
-    below = a + _root(a * a + 2.0 * target * (b - a))
+    below = a + root(a * a + 2.0 * target * (b - a))
     some = below > 0.0
     return jnp.clip(jnp.where(some, 2.0 * target / jnp.where(some, below, 1.0), 0.0), 0.0, 1.0)

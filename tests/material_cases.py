@@ -233,6 +233,11 @@ def _cap(u, w, ax, ay):
     return h / np.sqrt((h**2).sum())
 
 
+def _unit_half(wi, wo):
+    length = np.sqrt(((wi + wo) ** 2).sum())
+    return (wi + wo) / length, length
+
+
 def _half(wi, wo):
     total = wi + wo
     length2 = (total**2).sum()
@@ -274,6 +279,21 @@ def _formulas():
         lambda a, b: (a * b).sum(),
         ulps=16,  # against the largest term below
     )
+    for label, h in (("along the half vector", SLANT), ("across it", (0.6, 0.8, 1e-9))):
+        yield Hard(
+            "frames.reflect",
+            label,
+            frames.reflect,
+            (np.array(SLANT), np.array(h)),
+            lambda w, h: 2 * (w * h).sum() * h - w,
+        )
+    yield Hard(
+        "frames.half_vector",
+        "none",
+        lambda a, b: frames.half_vector(a, b)[:2],
+        (np.array(SLANT), -np.array(SLANT)),
+        lambda a, b: (np.array(NORMAL), LD(1)),
+    )
     other = (-0.479, 0.361, np.sqrt(1 - 0.479**2 - 0.361**2))
     yield Hard(
         "reflectance.mirrored",
@@ -289,6 +309,9 @@ def _formulas():
     }
     for label, (wi, wo) in pairs.items():
         pair = np.array(wi), np.array(wo)
+        yield Hard(
+            "frames.half_vector", label, lambda a, b: frames.half_vector(a, b)[:2], pair, _unit_half
+        )
         yield Hard("reflectance.half_angle", label, reflectance.half_angle, pair, _half)
         for form in ("reflected", "halfway"):
             yield Hard(

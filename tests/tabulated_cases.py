@@ -10,10 +10,32 @@ from diffopt.kernels import tabulated
 
 def tabulated_rows():
     """Hard cases of the tables."""
+    yield from _roots()
     yield from _angles()
     yield from _places()
     yield from _lookups()
     yield from _warps()
+
+
+def _roots():
+    for x in (-1.0, 0.0, 1e-30, 2.0):
+        yield Hard(
+            "tabulated.root",
+            f"x={x}",
+            tabulated.root,
+            (x,),
+            lambda x: np.sqrt(max(x, LD(0))),
+            smooth=x in (-1.0, 2.0),
+        )
+    for y, x in ((0.0, 0.0), (0.0, -1.0), (1e-15, 0.0), (-1e-9, -1.0), (0.3, 0.4)):
+        yield Hard(
+            "tabulated.angle",
+            f"y={y},x={x}",
+            tabulated.angle,
+            (y, x),
+            np.arctan2,
+            smooth=y == 0.3,  # at 0 the circle has its cut, and no slope at the origin
+        )
 
 
 def _direction(theta, phi):

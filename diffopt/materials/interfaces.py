@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from diffopt.fresnel import Constant, Reflectance
-from diffopt.kernels import fresnel, microfacet, reflectance
+from diffopt.kernels import frames, fresnel, microfacet, reflectance
 from diffopt.kernels.frames import dot
 from diffopt.materials.base import Material, Sample, floating, unit_square
 from diffopt.materials.checking import one_of, within
@@ -197,8 +197,7 @@ class RoughDielectric(_Interface):
         # Beyond the critical angle nothing is refracted: the choice below never takes it.
         inner = jnp.sqrt(jnp.maximum(inner, 1e-12))
         through = (cos / m - inner)[..., None] * half - wo / m[..., None]
-        back = 2.0 * cos[..., None] * half - wo
-        return jnp.where((u[..., 2] < f)[..., None], back, through)
+        return jnp.where((u[..., 2] < f)[..., None], frames.reflect(wo, half), through)
 
     def integrate(self, wo: Array, nodes: int) -> Array:
         """See `Material`."""
@@ -222,7 +221,7 @@ class RoughDielectric(_Interface):
         m = relative_index(self.eta, wo)
         half = microfacet.sample_visible(self.normals, u[..., :2], _flip(wo, side), self._alpha)
         half = _flip(half, side)
-        cos = jnp.clip((half * wo).sum(-1), 0.0, 1.0)
+        cos = jnp.clip(dot(half, wo), 0.0, 1.0)
         return half, m, fresnel.dielectric(cos, m)
 
     def _lobes(self, wi: Array, wo: Array, m: Array) -> tuple[Array, Array]:
@@ -273,13 +272,8 @@ def _to_upper_side(eta: Any, wi: Array, wo: Array) -> tuple[Array, Array, Array]
 
 def _half(wi: Array, wo: Array, m: Array) -> tuple[Array, Array, Array, Array]:
     """Facet normal facing wo for the index m (1: a mirror), its cosines, and if there is one."""
-    total = wo + wi * m[..., None]
-    length2 = (total**2).sum(-1)
-    ok = length2 > 1e-12
-    normal = jnp.zeros_like(total).at[..., 2].set(1.0)
-    half = jnp.where(ok[..., None], total, normal)
-    half = half / jnp.sqrt((half**2).sum(-1, keepdims=True))
-    io = (half * wo).sum(-1)
+    half, _, ok = frames.half_vector(wo, wi * m[..., None])
+    io = dot(half, wo)
     sign = jnp.where(io < 0.0, -1.0, 1.0).astype(io.dtype)
     half = half * sign[..., None]
-    return half, io * sign, (half * wi).sum(-1), ok
+    return half, io * sign, dot(half, wi), ok

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from diffopt import checks
 from diffopt.errors import InputError
 from diffopt.io.files import describe, existing_file, replacing
-from diffopt.kernels import tabulated, warps
+from diffopt.kernels import frames, tabulated, warps
 from diffopt.materials.base import Material, floating
 
 #: Entries over theta_h, theta_d and phi_d in the files of the database.
@@ -64,13 +64,9 @@ class HalfLobe(eqx.Module):
         self, wi: Float[Array, "*batch 3"], wo: Float[Array, "*batch 3"]
     ) -> Float[Array, "*batch"]:
         """Density per steradian of wi, wo mirrored at the half vector; over the sphere."""
-        total = wi + wo
-        length2 = (total**2).sum(-1)
-        ok = length2 > 1e-12
-        total = jnp.where(ok[..., None], total, jnp.ones_like(total))
-        length = jnp.sqrt((total**2).sum(-1))
-        across2 = total[..., 0] ** 2 + total[..., 1] ** 2
-        gap = across2 / (2.0 * length * (length + jnp.abs(total[..., 2])))
+        half, length, ok = frames.half_vector(wi, wo)
+        across2 = half[..., 0] ** 2 + half[..., 1] ** 2
+        gap = across2 / (2.0 * (1.0 + jnp.abs(half[..., 2])))
         last = self.share.shape[0] - 1
         k = jnp.clip(jnp.searchsorted(self.edges, gap, side="right") - 1, 0, last)
         ring = 4.0 * math.pi * (self.edges[k + 1] - self.edges[k])
@@ -123,11 +119,8 @@ class HalfSampled(Material):
 
     def warp(self, u: Array, wo: Array) -> Array:
         """See `Material`."""
-        h = self.half(u[..., :2], wo)
-        # Written out: as (h * wo).sum(-1) XLA's CPU compiler (jax 0.10) makes a dot product of
-        # it and gets it wrong for five or more wo that share their h.
-        dot = h[..., :1] * wo[..., :1] + h[..., 1:2] * wo[..., 1:2] + h[..., 2:] * wo[..., 2:]
-        return jnp.where(u[..., 2:] < 0.5, 2.0 * dot * h - wo, warps.cosine_hemisphere(u[..., :2]))
+        peak = frames.reflect(wo, self.half(u[..., :2], wo))
+        return jnp.where(u[..., 2:] < 0.5, peak, warps.cosine_hemisphere(u[..., :2]))
 
     def density(self, wi: Array, wo: Array) -> Array:
         """See `Material`."""

@@ -16,8 +16,7 @@ from jaxtyping import Array, Float
 from diffopt import checks
 from diffopt.errors import InputError
 from diffopt.fresnel import Constant, Reflectance
-from diffopt.kernels import microfacet, warps
-from diffopt.kernels.frames import dot
+from diffopt.kernels import frames, microfacet, warps
 from diffopt.kernels.microfacet import Masking, Normals
 from diffopt.materials.base import Material, floating, times, unit_square
 from diffopt.materials.checking import one_of, within
@@ -132,9 +131,7 @@ class Microfacet(Material):
 
     def value(self, wi: Array, wo: Array) -> Array:
         """See `Material`."""
-        total = wi + wo
-        length = jnp.sqrt(dot(total, total))
-        half = total / length[..., None]
+        half, length, _ = frames.half_vector(wi, wo)
         d = microfacet.density(self.normals, half, self._alpha)
         g = microfacet.visibility(self.masking, self.normals, wi, wo, self._alpha)
         single = times(d * g, self.reflectance(0.5 * length))
@@ -148,22 +145,18 @@ class Microfacet(Material):
             half = warps.gaussian_angle(u[..., :2], self.alpha[0])
         else:
             half = microfacet.sample_visible(self.normals, u[..., :2], wo, self._alpha)
-        return 2.0 * dot(half, wo)[..., None] * half - wo
+        return frames.reflect(wo, half)
 
     def density(self, wi: Array, wo: Array) -> Array:
         """See `Material`."""
-        total = wi + wo
-        length2 = dot(total, total)
-        ok = length2 > 1e-12
-        length = jnp.sqrt(jnp.where(ok, length2, 1.0))
-        half = total / length[..., None]
+        half, length, ok = frames.half_vector(wi, wo)
         half = half * jnp.where(half[..., 2:] < 0.0, -1.0, 1.0).astype(half.dtype)
         if self.normals == "gaussian":
             angle = microfacet.squared_angle(half)
             pdf = warps.gaussian_angle_density(angle, self.alpha[0]) / (2.0 * length)
         else:
             # D (o.h) / A over the solid angle 4 (o.h); facets that face away are not seen.
-            facing = dot(half, wo) > 0.0
+            facing = frames.dot(half, wo) > 0.0
             area = microfacet.projected_area(self.normals, wo, self._alpha)
             pdf = microfacet.density(self.normals, half, self._alpha) / (4.0 * area)
             pdf = jnp.where(facing, pdf, 0.0)

@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffopt import checks
-from diffopt.kernels import reflectance, warps
-from diffopt.kernels.frames import dot
+from diffopt.kernels import frames, reflectance, warps
 from diffopt.kernels.reflectance import Form
 from diffopt.materials.base import Material, floating, tint
 from diffopt.materials.checking import one_of, within
@@ -87,10 +86,10 @@ class Phong(Material):
         if self.form == "reflected":
             angle = reflectance.lobe_angle("reflected", wi, wo)
             return warps.power_cosine_density(*angle, n)
-        wi, ok = _regular(wi, wo)
-        cos, _ = reflectance.half_angle(wi, wo)
-        lobe = warps.power(*reflectance.lobe_angle("halfway", wi, wo), n)
-        return jnp.where(ok, 2.0 * (n + 1.0) / math.pi * lobe * cos / _stretch(wi, wo), 0.0)
+        half, length, ok = frames.half_vector(wi, wo)
+        cos, _ = reflectance.half_angle(half, half)
+        lobe = warps.power(*reflectance.lobe_angle("halfway", half, half), n)
+        return jnp.where(ok, (n + 1.0) / math.pi * lobe * cos / length, 0.0)
 
 
 class BlinnPhong(Material):
@@ -142,9 +141,9 @@ class BlinnPhong(Material):
 
     def density(self, wi: Array, wo: Array) -> Array:
         """See `Material`."""
-        wi, ok = _regular(wi, wo)
-        lobe = warps.power_cosine_density(*reflectance.half_angle(wi, wo), self.exponent)
-        return jnp.where(ok, lobe / _stretch(wi, wo), 0.0)
+        half, length, ok = frames.half_vector(wi, wo)
+        lobe = warps.power_cosine_density(*reflectance.half_angle(half, half), self.exponent)
+        return jnp.where(ok, lobe / (2.0 * length), 0.0)
 
 
 def turned(lobe: Array, axis: Array) -> Array:
@@ -164,15 +163,4 @@ def _about_half(sin2: Array, turn: Array, wo: Array) -> Array:
     sin, cos = jnp.sqrt(jnp.maximum(sin2, tiny)), jnp.sqrt(jnp.maximum(1.0 - sin2, tiny))
     angle = 2.0 * math.pi * turn
     half = jnp.stack([sin * jnp.cos(angle), sin * jnp.sin(angle), cos], -1)
-    return 2.0 * dot(half, wo)[..., None] * half - wo
-
-
-def _stretch(wi: Array, wo: Array) -> Array:
-    """Solid angle of wi over that of the half vector, 4 |wo.h| = 2 |wi + wo|."""
-    return 2.0 * jnp.sqrt(dot(wi + wo, wi + wo))
-
-
-def _regular(wi: Array, wo: Array) -> tuple[Array, Array]:
-    """Light directions where a half vector exists, else the viewer's; and where it does."""
-    ok = dot(wi + wo, wi + wo) > 1e-12
-    return jnp.where(ok[..., None], wi, wo), ok
+    return frames.reflect(wo, half)

@@ -87,7 +87,7 @@ class Rgl(HalfSampled):
         x, y = tabulated.sample_bilinear(self._models, self._slices(wo)[1], u[..., 0], u[..., 1])
         theta, phi = 0.5 * math.pi * x * x, (2.0 * y - 1.0) * math.pi
         if self._isotropic:
-            phi = phi + _polar(wo)[1]
+            phi = phi + tabulated.angle(wo[..., 1], wo[..., 0])
         sin = jnp.sin(theta)
         h = jnp.stack([sin * jnp.cos(phi), sin * jnp.sin(phi), jnp.cos(theta)], -1)
         return h * sign
@@ -192,17 +192,14 @@ def load_rgl(path: str | os.PathLike, *, wavelengths: Any = None) -> Rgl:
 
 
 def _polar(w: Array) -> tuple[Array, Array]:
-    """Angle to the normal and azimuth, 0 with slope 0 where they have none."""
-    theta, _, _ = tabulated.rusinkiewicz(w, w)
-    some = (w[..., 0] != 0.0) | (w[..., 1] != 0.0)
-    return theta, jnp.where(some, jnp.arctan2(w[..., 1], jnp.where(some, w[..., 0], 1.0)), 0.0)
+    """Angle to the normal and azimuth of a vector of any length."""
+    across = tabulated.root(w[..., 0] ** 2 + w[..., 1] ** 2)
+    return tabulated.angle(across, w[..., 2]), tabulated.angle(w[..., 1], w[..., 0])
 
 
 def _to_square(theta: Array, phi: Array) -> tuple[Array, Array]:
-    some = theta > 0.0
-    x = jnp.where(some, jnp.sqrt(jnp.where(some, theta, 1.0) * (2.0 / math.pi)), 0.0)
     y = (phi + math.pi) / (2.0 * math.pi)
-    return x, y - jnp.floor(y)
+    return tabulated.root(theta * (2.0 / math.pi)), y - jnp.floor(y)
 
 
 def _lookup(table: Array, places: tuple[Array, ...]) -> Array:

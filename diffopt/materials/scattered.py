@@ -285,14 +285,14 @@ def _text(path: Path) -> dict[str, np.ndarray]:
 def _embedded(wi: Array, wo: Array, isotropic: bool, swaps: bool) -> Array:
     """Pairs as points, see the module."""
     theta_h, theta_d, phi_d = tabulated.rusinkiewicz(wi, wo)
-    some = theta_h > 0.0
-    a = jnp.where(some, jnp.sqrt(jnp.where(some, theta_h, 1.0) * (2.0 / math.pi)), 0.0)
+    a = tabulated.root(theta_h * (2.0 / math.pi))
     r = theta_d * (2.0 / math.pi)
     m = 2.0 if swaps else 1.0
     if isotropic:
         turn = m * phi_d
         return jnp.stack([a, r, a * r * jnp.cos(turn), a * r * jnp.abs(jnp.sin(turn))], -1)
-    phi_h, psi = _azimuth(wi + wo), m * _azimuth(wi - wo)
+    phi_h, psi = (tabulated.angle(w[..., 1], w[..., 0]) for w in (wi + wo, wi - wo))
+    psi = m * psi
     parts = [a * jnp.cos(phi_h), a * jnp.sin(phi_h), r, r * jnp.cos(psi), r * jnp.sin(psi)]
     return jnp.stack(parts, -1)
 
@@ -305,11 +305,6 @@ def _nearest(distance: Float[Array, " N"], count: int) -> Int[Array, " K"]:
         return left.at[index].set(jnp.inf), index
 
     return jax.lax.scan(step, distance, length=count)[1]
-
-
-def _azimuth(w: Array) -> Array:
-    some = (w[..., 0] != 0.0) | (w[..., 1] != 0.0)
-    return jnp.where(some, jnp.arctan2(w[..., 1], jnp.where(some, w[..., 0], 1.0)), 0.0)
 
 
 def _lobe(theta_h: Array, values: Array) -> HalfLobe:
