@@ -9,6 +9,7 @@ import numpy as np
 
 from diffopt import colour
 from diffopt.accuracy.comparison import random_pairs
+from diffopt.accuracy.spectral_studies import NormalOf, SchlickOf
 from diffopt.accuracy.studies import Case, Job, Study
 from diffopt.fresnel import Dielectric, Reflectance, metal
 from diffopt.kernels import fresnel, microfacet
@@ -29,26 +30,21 @@ def _fresnel(quick: bool) -> list[Case]:
             **{name: functools.partial(metal, name) for name in ("Al", "Ag", "Au", "Cu")},
         }
 
-    def exact(material, cos, wavelengths):
+    forms = {"exact": lambda m: m, "schlick": SchlickOf, "normal incidence": NormalOf}
+
+    def run(material, cos, wavelengths):
         return material(cos, wavelengths)
 
-    def schlick(material, cos, wavelengths):
-        r0 = material.normal(wavelengths)[None, :]
-        return fresnel.schlick(*jnp.broadcast_arrays(cos[:, None], r0))
-
-    def normal(material, cos, wavelengths):
-        return jnp.broadcast_to(material.normal(wavelengths), (cos.shape[0], wavelengths.shape[0]))
-
-    def arguments(make, angle, dtype):
+    def arguments(material, angle, dtype):
         cos = np.cos(np.radians(np.linspace(0.0, angle, count)))
-        return make(), jnp.asarray(cos, dtype), jnp.asarray(lam, dtype)
+        return material, jnp.asarray(cos, dtype), jnp.asarray(lam, dtype)
 
     @functools.cache
     def expected(name, angle):
         with jax.enable_x64(True):
-            return np.asarray(jax.jit(exact)(*arguments(materials[name], angle, "float64")))
+            return np.asarray(jax.jit(run)(*arguments(materials[name](), angle, "float64")))
 
-    def case(name, angle, form, run):
+    def case(name, angle, form):
         def judge(value):
             right = expected(name, angle)
             error = np.asarray(value, np.float64) - right
@@ -60,14 +56,14 @@ def _fresnel(quick: bool) -> list[Case]:
         return Case(
             {"material": name, "within_deg": angle, "form": form},
             "float32",
-            lambda: Job(run, arguments(materials[name], angle, "float32"), judge),
+            lambda: Job(run, arguments(forms[form](materials[name]()), angle, "float32"), judge),
         )
 
     return [
-        case(name, angle, form, run)
+        case(name, angle, form)
         for name in materials
         for angle in ((60.0,) if quick else (45.0, 60.0, 75.0, 90.0))
-        for form, run in (("exact", exact), ("schlick", schlick), ("normal incidence", normal))
+        for form in forms
     ]
 
 

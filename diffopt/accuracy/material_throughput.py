@@ -9,14 +9,12 @@ older one it ends the whole process, so without that name it is left out.
 """
 
 import contextlib
-import csv
 import importlib
 import io
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import astuple, dataclass
 from typing import Any
 
 import jax
@@ -24,7 +22,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffopt import fresnel
-from diffopt.accuracy.measurement import compile_ahead
+from diffopt.accuracy import output
+from diffopt.accuracy.comparison import random_pairs
+from diffopt.accuracy.measurement import compile_ahead, time_together
 from diffopt.errors import InputError
 from diffopt.materials import BlinnPhong, Lambert, Material, Microfacet, OrenNayar, Phong
 from diffopt.materials import RoughDielectric as Rough
@@ -112,8 +112,7 @@ def compare(count: int = 1_000_000, repeats: int = 5) -> list[Row]:
     for name, value in (("count", count), ("repeats", repeats)):
         if value < 1:
             raise InputError(f"{name} must be at least 1; received {value}")
-    rng = np.random.default_rng(0)
-    wi, wo = (_directions(rng, count) for _ in range(2))
+    wi, wo = random_pairs(count, 87.0)
     rows = []
     for name, (material, description) in models().items():
         theirs = None if description is None else _Mitsuba(description, wi, wo)
@@ -145,35 +144,21 @@ def _rows(name, model, arrays, theirs, count, repeats) -> list[Row]:
     forward = compile_ahead(flat(value), leaves, *arrays)
     backward = compile_ahead(flat(slopes), leaves, *arrays)
     sampler = compile_ahead(flat(draw), leaves, u, arrays[1])
-    runs: list[Callable[[], Any] | None] = [
-        lambda: forward(leaves, *arrays),
-        lambda: backward(leaves, *arrays),
-        lambda: sampler(leaves, u, arrays[1]),
-        None if theirs is None else theirs.evaluate,
-        None if theirs is None else theirs.draw,
+    runs: list[tuple[Callable[..., Any], tuple]] = [
+        (forward, (leaves, *arrays)),
+        (backward, (leaves, *arrays)),
+        (sampler, (leaves, u, arrays[1])),
     ]
-    seconds = _in_turn(runs, repeats)
-    rates = [None if s is None else count / s for s in seconds]
+    if theirs is not None:
+        runs += [(run, ()) for run in theirs.vectorised()]
+    rates = [count / seconds for seconds, _ in time_together(runs, repeats)]
+    # After the timing: it changes Mitsuba's variant.
     scalar = (None, None) if theirs is None else theirs.scalar_rates()
-    assert rates[0] is not None
-    assert rates[2] is not None
+    beside = rates[3:] or (None, None)
     return [
-        Row(name, "f", forward.compile_s, rates[0], rates[1], rates[3], scalar[0]),
-        Row(name, "sample", sampler.compile_s, rates[2], None, rates[4], scalar[1]),
+        Row(name, "f", forward.compile_s, rates[0], rates[1], beside[0], scalar[0]),
+        Row(name, "sample", sampler.compile_s, rates[2], None, beside[1], scalar[1]),
     ]
-
-
-def _in_turn(runs: list[Callable[[], Any] | None], repeats: int) -> list[float | None]:
-    times: list[list[float]] = [[] for _ in runs]
-    for repeat in range(repeats + 1):
-        for index, run in enumerate(runs):
-            if run is None:
-                continue
-            start = time.perf_counter()
-            run()
-            if repeat:  # the first compiles Mitsuba's kernels
-                times[index].append(time.perf_counter() - start)
-    return [float(np.median(t)) if t else None for t in times]
 
 
 class _Mitsuba:
@@ -181,7 +166,6 @@ class _Mitsuba:
 
     def __init__(self, description: dict[str, Any], wi: np.ndarray, wo: np.ndarray) -> None:
         self.description, self.pairs = description, (wi, wo)
-        self.evaluate, self.draw = self._vectorised()
 
     def _load(self, variant: str) -> Any:
         try:
@@ -198,10 +182,11 @@ class _Mitsuba:
                 return None
         return mi
 
-    def _vectorised(self) -> tuple[Callable[[], Any] | None, Callable[[], Any] | None]:
+    def vectorised(self) -> tuple[Callable[[], Any], ...]:
+        """Calls of the vectorised variant that evaluate and that draw; none without it."""
         mi = self._load("llvm_ad_rgb") if os.environ.get("DRJIT_LIBLLVM_PATH") else None
         if mi is None:
-            return None, None
+            return ()
         dr = importlib.import_module("drjit")
         dr.set_thread_count(os.cpu_count() or 1)
         bsdf, context = mi.load_dict(self.description), mi.BSDFContext()
@@ -247,13 +232,6 @@ class _Mitsuba:
         return rates[0], rates[1]
 
 
-def _directions(rng: np.random.Generator, count: int) -> np.ndarray:
-    z = rng.uniform(0.05, 1.0, count)
-    phi = rng.uniform(0.0, 2.0 * np.pi, count)
-    sin = np.sqrt(1.0 - z * z)
-    return np.stack([sin * np.cos(phi), sin * np.sin(phi), z], -1)
-
-
 def table(rows: list[Row]) -> Any:
     """The rows as a table for the terminal; ratios are ours over Mitsuba's."""
     from rich.table import Table
@@ -287,15 +265,6 @@ def table(rows: list[Row]) -> Any:
     return found
 
 
-def save_csv(rows: list[Row], path: str | Path) -> None:
-    """Write the rows, written aside and renamed; empty where unknown."""
-    target = Path(path)
-    aside = target.with_name(target.name + ".part")
-    with aside.open("w", newline="") as file:
-        writer = csv.writer(file)
-        names = list(Row.__dataclass_fields__)
-        writer.writerow(names)
-        writer.writerows(
-            ["" if getattr(r, n) is None else getattr(r, n) for n in names] for r in rows
-        )
-    aside.replace(target)
+def save_csv(rows: list[Row], path: str | os.PathLike) -> None:
+    """Write the rows; empty where unknown."""
+    output.write_csv(list(Row.__dataclass_fields__), [astuple(row) for row in rows], path)

@@ -99,12 +99,13 @@ def value_and_gradient(function: Callable[..., Any], argument: int) -> Callable[
 
 
 def time_together(
-    programs: Sequence[tuple[Program, tuple]], repeats: int
+    programs: Sequence[tuple[Callable[..., Any], tuple]], repeats: int
 ) -> list[tuple[float, float]]:
     """Median and quartile distance of the seconds of each program, taken in turn.
 
     One run of each, then the next of each: a machine that slows down slows all of them, and
-    ratios remain.
+    ratios remain. A program is called with its arguments, waits for its result, and has run
+    once before it is timed.
     """
     passes = []
     for program, arguments in programs:

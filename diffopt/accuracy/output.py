@@ -138,14 +138,19 @@ def _saved(figure: Any, path: str | os.PathLike | None) -> Any:
 
 def save_csv(result: Any, path: str | os.PathLike) -> None:
     """Write all rows: settings, then error, bound and costs, empty where unknown."""
-    names = _names(result.rows)
+    names, fields = _names(result.rows), (*_COSTS, "note")
+    rows = [
+        [*(row.settings.get(n) for n in names), *(getattr(row, n) for n in fields)]
+        for row in result.rows
+    ]
+    write_csv((*names, *fields), rows, path)
+
+
+def write_csv(names: Sequence[str], rows: Sequence[Sequence[Any]], path: str | os.PathLike) -> None:
+    """Write lines of values under their names, empty for None."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*names, *_COSTS, "note"])
-    for row in result.rows:
-        costs = [getattr(row, name) for name in _COSTS]
-        values = ["" if v is None else v for v in costs]
-        writer.writerow([*(row.settings.get(n, "") for n in names), *values, row.note])
+    writer.writerows([names, *rows])
     with replacing(path) as file:
         file.write(text.getvalue().encode())
 

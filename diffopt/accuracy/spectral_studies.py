@@ -96,24 +96,25 @@ SPECTRUM = Study(
 )
 
 
-class _Schlick(Reflectance):
-    """Schlick's formula from the exact reflectance at normal incidence at each wavelength."""
+class NormalOf(Reflectance):
+    """The exact reflectance at normal incidence at every angle."""
 
     exact: Reflectance
 
     def __call__(self, cos_h, wavelengths):
+        """See `Reflectance`."""
         r0 = self.exact.normal(wavelengths).astype(cos_h.dtype)
         r0 = r0.reshape((1,) * cos_h.ndim + r0.shape)
-        return fresnel.schlick(*jnp.broadcast_arrays(cos_h[..., None], r0))
+        return jnp.broadcast_to(r0, (*cos_h.shape, r0.shape[-1]))
 
 
-class _Normal(Reflectance):
-    """The reflectance at normal incidence at every angle."""
-
-    exact: Reflectance
+class SchlickOf(NormalOf):
+    """Schlick's formula from the exact reflectance at normal incidence at each wavelength."""
 
     def __call__(self, cos_h, wavelengths):
-        return self.exact(jnp.ones_like(cos_h), wavelengths)
+        """See `Reflectance`."""
+        r0 = super().__call__(cos_h, wavelengths)
+        return fresnel.schlick(jnp.broadcast_to(cos_h[..., None], r0.shape), r0)
 
 
 class _OneWavelength(Reflectance):
@@ -164,8 +165,8 @@ def _fresnel(quick: bool) -> list[Case]:
 
     forms = {
         "exact": lambda m: m,
-        "schlick": _Schlick,
-        "normal incidence": _Normal,
+        "schlick": SchlickOf,
+        "normal incidence": NormalOf,
         "one wavelength": lambda m: _OneWavelength(m, middle),
         "none (mirror)": lambda m: Constant(),
     }
