@@ -35,6 +35,7 @@ NAMES: dict[str, str] = {
     "diffraction.wavelengths": "diffopt.accuracy.spectral_studies:SPECTRUM",
     "diffraction.window": "diffopt.accuracy.diffraction:WINDOW",
     "material.colour": "diffopt.accuracy.material_studies:COLOURS",
+    "material.energy": "diffopt.accuracy.energy_studies:ENERGY",
     "material.fresnel": "diffopt.accuracy.material_studies:FRESNEL",
     "material.masking": "diffopt.accuracy.material_studies:MASKING",
     "material.table": "diffopt.accuracy.material_studies:TABLES",
