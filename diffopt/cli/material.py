@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from diffopt.materials.naming import Subject
     from diffopt.materials.report import Properties
 
-#: Pictures, in the order in which they are made; without f (mirror, glass) there is no map.
-PICTURES = ("lobes.png", "hemisphere.png", "sphere.png", "albedo.png", "swatch.png")
 #: Most angles of incidence that a plot can hold, and the largest, degrees.
 MOST, STEEPEST = 9, 89.0
 SIZES = (16, 4096)
@@ -78,6 +76,7 @@ def command(
     import math
 
     from diffopt.cli.errors import user_input
+    from diffopt.cli.options import numbers
 
     if not SIZES[0] <= size <= SIZES[1]:
         raise InputError(
@@ -86,13 +85,13 @@ def command(
     if sigma is not None and not 0.0 <= sigma <= 90.0:
         raise InputError(f"--sigma must lie between 0 and 90 degrees; received {sigma:g}")
     chosen = {
-        "alpha": _numbers("--alpha", alpha, (1, 2)),
-        "roughness": _numbers("--roughness", roughness, (1, 2)),
+        "alpha": numbers("--alpha", alpha),
+        "roughness": numbers("--roughness", roughness),
         "normals": normals,
         "masking": masking,
         "compensation": compensation,
         "exponent": exponent,
-        "colour": _numbers("--colour", colour, (1, 3)),
+        "colour": numbers("--colour", colour, (1, 3)),
         "sigma": None if sigma is None else math.radians(sigma),
         "eta": eta,
     }
@@ -134,24 +133,29 @@ def run(
     from diffopt.materials.report import properties
 
     notes = [*subject.notes]
+    made = []
     with folder(target) as staging, stages(3) as progress:
+
+        def save(figure: Any, name: str) -> None:
+            pictures.save(figure, staging / name)
+            made.append(name)
+
         with progress.stage("properties"):
             report = properties(subject.material)
         alone = subject.material.delta and report.reciprocity is None
         with progress.stage("lobes and map"):
-            pictures.save(lobes.in_plane(subject, lights), staging / "lobes.png")
+            save(lobes.in_plane(subject, lights), "lobes.png")
             if alone:
                 notes.append("f is 0 but in single directions: lobes are lines, there is no map")
             else:
                 light = lights[(len(lights) - 1) // 2]
-                figure = lobes.hemisphere(subject, light, size=size)
-                pictures.save(figure, staging / "hemisphere.png")
+                save(lobes.hemisphere(subject, light, size=size), "hemisphere.png")
         if subject.material.delta:
             notes.append("the sphere reflects a simple sky; glass is a massive ball under it")
         with progress.stage("sphere and albedo"):
-            pictures.save(lobes.sphere(subject, report, size=size), staging / "sphere.png")
-            pictures.save(lobes.albedo(subject, report), staging / "albedo.png")
-            pictures.save(lobes.swatch(subject, report), staging / "swatch.png")
+            save(lobes.sphere(subject, report, size=size), "sphere.png")
+            save(lobes.albedo(subject, report), "albedo.png")
+            save(lobes.swatch(subject, report), "swatch.png")
         content = {
             "name": subject.name,
             "channels": list(subject.material.channels),
@@ -165,7 +169,7 @@ def run(
     if as_json:
         print(text)
     else:
-        tell(subject, report, notes, target)
+        tell(subject, report, notes, made, target)
 
 
 def rows(subject: "Subject", report: "Properties") -> list[tuple[str, str, str, str]]:
@@ -202,8 +206,10 @@ def rows(subject: "Subject", report: "Properties") -> list[tuple[str, str, str, 
     return table
 
 
-def tell(subject: "Subject", report: "Properties", notes: list[str], target: Path) -> None:
-    """Print the report."""
+def tell(
+    subject: "Subject", report: "Properties", notes: list[str], made: list[str], target: Path
+) -> None:
+    """Print the report, with the names of the pictures that were made."""
     from rich.table import Table
 
     from diffopt.cli.progress import terminal
@@ -218,9 +224,6 @@ def tell(subject: "Subject", report: "Properties", notes: list[str], target: Pat
         words = f"{len(subject.wavelengths)} wavelengths from {low:.0f} to {high:.0f} nm"
     summary.add_row("material", f"{subject.name}, {words}")
     summary.add_row("results", str(target))
-    made = [name for name in PICTURES if (target / name).exists()]
-    if subject.material.delta and report.reciprocity is None and "hemisphere.png" in made:
-        made.remove("hemisphere.png")
     summary.add_row("pictures", ", ".join(made))
     console.print(summary)
     table = Table(box=None, padding=(0, 2, 0, 0))
@@ -262,7 +265,9 @@ def _subject(word: str, chosen: dict[str, Any]) -> "Subject":
 
 
 def _lights(text: str) -> tuple[float, ...]:
-    found = _numbers("--angles", text, range(1, MOST + 1))
+    from diffopt.cli.options import numbers
+
+    found = numbers("--angles", text, range(1, MOST + 1))
     angles = (found,) if isinstance(found, float) else tuple(found)
     for angle in angles:
         if not 0.0 <= angle <= STEEPEST:
@@ -270,22 +275,6 @@ def _lights(text: str) -> tuple[float, ...]:
                 f"--angles must lie between 0 and {STEEPEST:g} degrees; received {angle:g}"
             )
     return tuple(dict.fromkeys(angles))
-
-
-def _numbers(option: str, text: str | None, counts: Any) -> Any:
-    """One number, or a tuple of several separated by commas; None for None."""
-    if text is None:
-        return None
-    try:
-        values = tuple(float(word) for word in text.split(","))
-    except ValueError:
-        values = ()
-    if len(values) not in counts:
-        most = f"up to {max(counts)}" if len(counts) > 2 else str(max(counts))
-        raise InputError(
-            f"{option} must be one number or {most} separated by commas; received {text!r}"
-        )
-    return values[0] if len(values) == 1 else values
 
 
 def _listed(values: Any) -> list[float] | None:

@@ -200,12 +200,11 @@ def _own_tangents(mesh: "meshes.Mesh", up: tuple[float, float, float]) -> tuple[
 
 
 def _vector(option: str, text: str | None) -> tuple[float, float, float] | None:
+    from diffopt.cli.options import floats
+
     if text is None:
         return None
-    try:
-        values = tuple(float(word) for word in text.split(","))
-    except ValueError:
-        values = ()
+    values = floats(text)
     if len(values) != 3 or not all(map(math.isfinite, values)) or not any(values):
         raise InputError(
             f"{option} must be a direction X,Y,Z, three numbers that are not all 0; "

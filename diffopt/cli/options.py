@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -121,6 +122,35 @@ def name(file: str) -> str:
     return file.removeprefix(SAMPLE) if file.startswith(SAMPLE) else Path(file).stem
 
 
+def floats(text: str) -> tuple[float, ...]:
+    """Numbers separated by commas; none at all where one of them is no number."""
+    try:
+        return tuple(float(word) for word in text.split(","))
+    except ValueError:
+        return ()
+
+
+def numbers(
+    option: str, text: str | None, counts: Sequence[int] = (1, 2), *, unit: str = ""
+) -> Any:
+    """One number, or a tuple of several separated by commas; None for None.
+
+    Raises
+    ------
+    InputError
+        If there is another number of them than `counts` allows.
+    """
+    if text is None:
+        return None
+    values = floats(text)
+    if len(values) not in counts:
+        most = f"up to {max(counts)}" if len(counts) > 2 else str(max(counts))
+        raise InputError(
+            f"{option} must be one number or {most} separated by commas{unit}; received {text!r}"
+        )
+    return values[0] if len(values) == 1 else values
+
+
 def load(source: Source) -> Heightfield:
     """Read or make the heights, level them and see that they are complete.
 
@@ -140,8 +170,10 @@ def load(source: Source) -> Heightfield:
         try:
             scan = Heightfield.load(
                 source.file,
-                pixel_size=_numbers("--pixel-size", source.pixel_size),
-                height_range=_numbers("--height-range", source.height_range),
+                pixel_size=numbers("--pixel-size", source.pixel_size, unit=", in micrometres"),
+                height_range=numbers(
+                    "--height-range", source.height_range, unit=", in micrometres"
+                ),
                 height_unit=source.height_unit,
                 channel=_channel(source.channel),
                 missing="keep",
@@ -263,22 +295,6 @@ def _sample(source: Source) -> Heightfield:
                 f"--{option.replace('_', '-')} is for files; {source.file} is made by code"
             )
     return samples.make(source.file.removeprefix(SAMPLE), key=jax.random.key(source.key))
-
-
-def _numbers(option: str, text: str | None) -> Any:
-    """One number, or a pair separated by a comma; None for None."""
-    if text is None:
-        return None
-    try:
-        values = tuple(float(word) for word in text.split(","))
-    except ValueError:
-        values = ()
-    if len(values) not in (1, 2):
-        raise InputError(
-            f"{option} must be one number or two separated by a comma, in micrometres; "
-            f"received {text!r}"
-        )
-    return values[0] if len(values) == 1 else values
 
 
 def _channel(text: str | None) -> int | str | None:
