@@ -11,11 +11,12 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from diffopt import checks
 from diffopt.errors import InputError
 from diffopt.kernels import fresnel
 
@@ -74,10 +75,11 @@ METALS = tuple(_LORENTZ_DRUDE)
 SOURCES = ("lorentz-drude", "measured")
 
 
-def _floating(x: Any) -> Array:
+def floating(x: Any) -> Array:
     """Array of the caller's floating type; Python and integer numbers in the default type."""
     x = jnp.asarray(x)
-    return x if jnp.issubdtype(x.dtype, jnp.floating) else x.astype(float)
+    kind = x.dtype if jnp.issubdtype(x.dtype, jnp.floating) else jnp.result_type(float)
+    return jax.lax.convert_element_type(x, kind)  # Python numbers lose their weak type
 
 
 class Reflectance(eqx.Module):
@@ -105,7 +107,7 @@ class Reflectance(eqx.Module):
 class Constant(Reflectance):
     """The same reflectance at all angles and wavelengths; 1 is the perfect mirror."""
 
-    value: Float[Array, ""] = eqx.field(converter=_floating, default=1.0)
+    value: Float[Array, ""] = eqx.field(converter=floating, default=1.0)
 
     def __check_init__(self) -> None:
         """Check the value, where it is known."""
@@ -123,7 +125,7 @@ class Constant(Reflectance):
 class Schlick(Reflectance):
     """Schlick's approximation from the reflectance at normal incidence; see `kernels.fresnel`."""
 
-    r0: Float[Array, ""] = eqx.field(converter=_floating)
+    r0: Float[Array, ""] = eqx.field(converter=floating)
 
     def __check_init__(self) -> None:
         """Check the value, where it is known."""
@@ -147,7 +149,7 @@ class Dielectric(Reflectance):
         n = A + B / lambda^2 + C / lambda^4 + ..., lambda in micrometres.
     """
 
-    coefficients: Float[Array, " K"] = eqx.field(converter=lambda n: jnp.atleast_1d(_floating(n)))
+    coefficients: Float[Array, " K"] = eqx.field(converter=lambda n: jnp.atleast_1d(floating(n)))
 
     def __check_init__(self) -> None:
         """Check the values, where they are known."""
@@ -184,9 +186,9 @@ class Conductor(Reflectance):
         they are known while tracing, and as an error of the compiled program otherwise.
     """
 
-    wavelengths: Float[Array, " K"] = eqx.field(converter=_floating)
-    eta: Float[Array, " K"] = eqx.field(converter=_floating)
-    k: Float[Array, " K"] = eqx.field(converter=_floating)
+    wavelengths: Float[Array, " K"] = eqx.field(converter=floating)
+    eta: Float[Array, " K"] = eqx.field(converter=floating)
+    k: Float[Array, " K"] = eqx.field(converter=floating)
 
     def __check_init__(self) -> None:
         """Check the table, where it is known."""
@@ -206,7 +208,7 @@ class Conductor(Reflectance):
         table = self.wavelengths.astype(kind)
         # The table may be in float64 and the request in float32, or the other way round.
         slack = 4 * float(jnp.finfo(jnp.float32).eps)
-        known, asked = _concrete(self.wavelengths), _concrete(wavelengths)
+        known, asked = checks.concrete(self.wavelengths), checks.concrete(wavelengths)
         if known is None or asked is None:
             outside = (wavelengths < table[0] * (1 - slack)) | (
                 wavelengths > table[-1] * (1 + slack)
@@ -243,10 +245,10 @@ class LorentzDrude(Reflectance):
         f_j (without unit), G_j and w_j (eV); w_j = 0 for the free electrons.
     """
 
-    plasma: Float[Array, ""] = eqx.field(converter=_floating)
-    strength: Float[Array, " J"] = eqx.field(converter=_floating)
-    width: Float[Array, " J"] = eqx.field(converter=_floating)
-    resonance: Float[Array, " J"] = eqx.field(converter=_floating)
+    plasma: Float[Array, ""] = eqx.field(converter=floating)
+    strength: Float[Array, " J"] = eqx.field(converter=floating)
+    width: Float[Array, " J"] = eqx.field(converter=floating)
+    resonance: Float[Array, " J"] = eqx.field(converter=floating)
 
     def __check_init__(self) -> None:
         """Check the values, where they are known."""
@@ -373,13 +375,9 @@ def _last_axis(spectrum: Array, cos_h: Array) -> Array:
     return spectrum.astype(cos_h.dtype).reshape((1,) * cos_h.ndim + spectrum.shape)
 
 
-def _concrete(x: Array) -> np.ndarray | None:
-    return None if isinstance(x, Tracer) else np.asarray(x)
-
-
 def _check(name: str, x: Array, holds: Callable[[np.ndarray], Any], expected: str) -> None:
     """Raise unless a condition holds for all values, where they are known."""
-    values = _concrete(x)
+    values = checks.concrete(x)
     if values is not None and not np.all(holds(values)):
         low, high = values.min(), values.max()
         shown = f"{low:g}" if values.size == 1 else f"{low:g} to {high:g}"

@@ -221,15 +221,6 @@ def gaussian_slope_error(ratio: float, order: int) -> float:
     return float((density * np.where(theta < math.pi, error, 2.0 * at)).sum() * step * math.e**0.5)
 
 
-def gaussian_step(error: float, order: int) -> float:
-    """Largest step, in standard deviations, whose `gaussian_error` is at most `error`."""
-    low, high = 1e-4, 3.0
-    for _ in range(50):
-        middle = math.sqrt(low * high)
-        low, high = (middle, high) if gaussian_error(middle, order) <= error else (low, middle)
-    return low
-
-
 def complete_error(theta: float) -> float:
     """Bound for cubic splines with given end slopes, for functions of band `theta`.
 

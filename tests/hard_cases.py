@@ -79,25 +79,17 @@ def _phases():
             ulps=30,
             gradient_ulps=500,  # the slope of a Chebyshev polynomial of degree 4 is up to 16
         )
-        yield Hard(
-            "phase.chebyshev_rows",
-            f"t={t}",
-            partial(phase.chebyshev_rows, count=40),
-            (t,),
-            lambda t: _polynomials(t, 40),
-            ulps=800,
-            gradient_ulps=1e6,
-        )
-        yield Hard(
-            "phase.chebyshev_polynomials",
-            f"t={t}",
-            partial(phase.chebyshev_polynomials, count=40),
-            (t,),
-            lambda t: _polynomials(t, 40),
-            # T_n' is n^2 at the ends, and so is what rounding of t and of the recurrence makes
-            ulps=800,
-            gradient_ulps=1e6,  # T_39'' is up to 1e6
-        )
+        for kernel in (phase.chebyshev_rows, phase.chebyshev_polynomials):
+            yield Hard(
+                f"phase.{kernel.__name__}",
+                f"t={t}",
+                partial(kernel, count=40),
+                (t,),
+                lambda t: _polynomials(t, 40),
+                # T_n' is n^2 at the ends, and so is what rounding of t and of the recurrence makes
+                ulps=800,
+                gradient_ulps=1e6,  # T_39'' is up to 1e6
+            )
     yield Hard(
         "phase.chebyshev_points",
         "one node",

@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from diffopt.errors import InputError
+from diffopt.fresnel import floating as floating
 from diffopt.kernels import frames, warps
 
 # Nodes of the albedo's quadrature on each axis of the unit square.
@@ -244,13 +245,6 @@ def times(shape: Float[Array, "*batch"], values: Float[Array, "..."]) -> Float[A
 def tint(shape: Float[Array, "*batch"], colour: Float[Array, "..."]) -> Float[Array, "..."]:
     """Outer product of a number for each pair and one colour [*C] for all."""
     return times(shape, colour.reshape((1,) * shape.ndim + colour.shape))
-
-
-def floating(x: Any) -> Array:
-    """Array of the caller's floating type; Python and integer numbers in the default type."""
-    x = jnp.asarray(x)
-    kind = x.dtype if jnp.issubdtype(x.dtype, jnp.floating) else jnp.result_type(float)
-    return jax.lax.convert_element_type(x, kind)  # Python numbers lose their weak type
 
 
 def unit_square(

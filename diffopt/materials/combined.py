@@ -1,5 +1,6 @@
 """Sums of materials, scaled materials, and surfaces that emit light."""
 
+import functools
 from typing import Any
 
 import equinox as eqx
@@ -81,10 +82,8 @@ class Scaled(Material):
         return self._scaled(self.material.integrate(wo, nodes), 0)
 
     def _scaled(self, values: Array, batch: int) -> Array:
-        values = values.reshape(values.shape + (1,) * (self.factor.ndim - (values.ndim - batch)))
-        return values * self.factor.reshape(
-            (1,) * (values.ndim - self.factor.ndim) + self.factor.shape
-        )
+        values = _aligned(values, batch, self.channels)
+        return values * jnp.broadcast_to(self.factor, values.shape)
 
 
 class Sum(Material):
@@ -146,7 +145,7 @@ class Sum(Material):
 
     def value(self, wi: Array, wo: Array) -> Array:
         """See `Material`."""
-        return _total([part._reflected(wi, wo) for part in self.parts], wi.ndim - 1)
+        return self._total([part._reflected(wi, wo) for part in self.parts], wi.ndim - 1)
 
     def density(self, wi: Array, wo: Array) -> Array:
         """See `Material`."""
@@ -171,18 +170,18 @@ class Sum(Material):
         inner = jnp.concatenate([u[..., :2], rest[..., None]], -1)
         drawn = [part.scatter(inner, wo) for part in self.parts]
         wi, delta, alone = drawn[0].wi, drawn[0].delta, drawn[0].pdf
-        colour = self._wide(drawn[0].weight, wo.ndim - 1)
+        colour = _aligned(drawn[0].weight, wo.ndim - 1, self.channels)
         for k, sample in enumerate(drawn[1:], 1):
             here = index == k
             wi = jnp.where(here[..., None], sample.wi, wi)
             delta = jnp.where(here, sample.delta, delta)
             alone = jnp.where(here, sample.pdf, alone)
-            wide = self._wide(sample.weight, wo.ndim - 1)
+            wide = _aligned(sample.weight, wo.ndim - 1, self.channels)
             colour = jnp.where(here.reshape(here.shape + (1,) * len(self.channels)), wide, colour)
         pdf = self.density(wi, wo)
         seen = pdf > 0.0
         ratio = jnp.where(seen, jnp.abs(wi[..., 2]) / jnp.where(seen, pdf, 1.0), 0.0)
-        smooth = self._wide(times(ratio, self._reflected(wi, wo)), wo.ndim - 1)
+        smooth = _aligned(times(ratio, self._reflected(wi, wo)), wo.ndim - 1, self.channels)
         chance = self.chances[index]
         single = times(1.0 / chance, colour)
         return Sample(
@@ -199,13 +198,10 @@ class Sum(Material):
         for part in self.parts:
             found = part.integrate(wo, nodes)
             parts.append(found if part.transmits else jnp.where(seen, found, 0.0))
-        return _total(parts, 0)
+        return self._total(parts, 0)
 
-    def _wide(self, values: Array, batch: int) -> Array:
-        """Values with all channels of the sum."""
-        extra = len(self.channels) - (values.ndim - batch)
-        values = values.reshape(values.shape + (1,) * extra)
-        return jnp.broadcast_to(values, (*values.shape[:batch], *self.channels))
+    def _total(self, values: list[Array], batch: int) -> Array:
+        return functools.reduce(jnp.add, [_aligned(v, batch, self.channels) for v in values])
 
 
 class Emission(Material):
@@ -240,12 +236,8 @@ class Emission(Material):
         return times(above, colour.reshape((1,) * above.ndim + colour.shape))
 
 
-def _total(values: list[Array], batch: int) -> Array:
-    """Sum of values whose channels broadcast."""
-    rank = max(v.ndim for v in values)
-    wide = [v.reshape(v.shape[:batch] + (1,) * (rank - v.ndim) + v.shape[batch:]) for v in values]
-    shape = np.broadcast_shapes(*(v.shape for v in wide))
-    total = jnp.zeros(shape, values[0].dtype)
-    for v in wide:
-        total = total + jnp.broadcast_to(v, shape)
-    return total
+def _aligned(values: Array, batch: int, channels: tuple[int, ...]) -> Array:
+    """Values [*batch, *C] broadcast to channels."""
+    shape, own = values.shape[:batch], values.shape[batch:]
+    values = values.reshape(shape + (1,) * (len(channels) - len(own)) + own)
+    return jnp.broadcast_to(values, (*shape, *channels))

@@ -16,7 +16,13 @@ from jaxtyping import Array, Float
 from diffopt.errors import InputError
 from diffopt.kernels import tabulated
 from diffopt.materials.merl import HalfLobe, LobeSampled, half_lobe
-from diffopt.materials.tensorfile import at_wavelengths, floating, increasing, read_tensors, require
+from diffopt.materials.tensorfile import (
+    at_wavelengths,
+    canonical,
+    increasing,
+    read_tensors,
+    require,
+)
 
 # Difference angles whose mean forms the lobe that is sampled; see `diffopt.materials.merl`.
 _NARROW = math.pi / 3.0
@@ -114,7 +120,7 @@ def load_pbsdf(path: str | os.PathLike, *, wavelengths: Any = None) -> Pbsdf:
     missing = np.isnan(values)
     values = np.where(missing, np.nan, np.maximum(values, 0.0))
     um, values = at_wavelengths(path, nm * 1e-3, values, 3, wavelengths)
-    values = np.where(np.isnan(values), -1.0, values).astype(floating(fields["M"]))
+    values = np.where(np.isnan(values), -1.0, values).astype(canonical(fields["M"]))
     phi_d, theta_d, theta_h = (jnp.asarray(n, values.dtype) for n in nodes)
     narrow = values[:, nodes[1] <= max(_NARROW, nodes[1][0])]
     seen = narrow >= 0.0

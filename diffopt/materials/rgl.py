@@ -19,7 +19,13 @@ from diffopt.kernels import tabulated
 from diffopt.kernels.tabulated import Corner
 from diffopt.materials.base import times
 from diffopt.materials.merl import HalfSampled
-from diffopt.materials.tensorfile import at_wavelengths, floating, increasing, read_tensors, require
+from diffopt.materials.tensorfile import (
+    at_wavelengths,
+    canonical,
+    increasing,
+    read_tensors,
+    require,
+)
 
 
 class Rgl(HalfSampled):
@@ -177,7 +183,7 @@ def load_rgl(path: str | os.PathLike, *, wavelengths: Any = None) -> Rgl:
         nodes = fields["wavelengths"].ravel() * 1e-3
         um, values = at_wavelengths(path, nodes, values, 2, wavelengths)
     reach = phi_i[-1] - phi_i[0]
-    dtype = floating(fields["vndf"])
+    dtype = canonical(fields["vndf"])
     return Rgl(
         phi_i=jnp.asarray(phi_i, dtype),
         theta_i=jnp.asarray(theta_i, dtype),

@@ -98,7 +98,7 @@ def write_tensors(path: str | os.PathLike, fields: dict[str, np.ndarray]) -> Non
         file.write(header + data)
 
 
-def floating(array: np.ndarray) -> Any:
+def canonical(array: np.ndarray) -> Any:
     """The type of an array, as far as jax is set up to hold it."""
     return jax.dtypes.canonicalize_dtype(array.dtype)
 

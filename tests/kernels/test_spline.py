@@ -140,14 +140,6 @@ def test_complete_spline_from_chebyshev(band):
     assert 0.1 * bound <= error <= bound + 1e-12
 
 
-def test_gaussian_step_inverts_the_error():
-    for order in spline.ORDERS:
-        for error in (1e-2, 1e-5):
-            step = spline.gaussian_step(error, order)
-            assert spline.gaussian_error(step, order) <= error
-            assert spline.gaussian_error(1.05 * step, order) > error
-
-
 @ORDERS
 def test_gradients_of_a_lookup(order, rng):
     table = jnp.asarray(rng.normal(size=(8, 8, 8, 2)))
