@@ -24,6 +24,9 @@
 `accuracy`             studies of accuracy against time, and benchmarks
 `fresnel`              reflectance of mirrors, glasses and metals
 `glasses`              glasses and water by Sellmeier's formula
+`metals`               measured tables of n and k of metals
+`lobes`                functions on the sphere as von Mises-Fisher lobes
+`brdf_lobes`           those of a BRDF over viewing directions
 `materials`            how surfaces scatter light: values, samples, densities, albedos
 `colour`               spectra to XYZ to sRGB
 `illuminants`          illuminants, the observer, weights from spectra to XYZ
@@ -39,11 +42,13 @@ from diffopt import gratings as gratings
 from diffopt import materials as materials
 from diffopt import samples as samples
 from diffopt.accuracy.studies import study as study
+from diffopt.brdf_lobes import BRDFLobes as BRDFLobes
 from diffopt.choice import Choice as Choice
 from diffopt.choice import PreparedBRDF as PreparedBRDF
 from diffopt.diffraction import DiffractionBRDF as DiffractionBRDF
 from diffopt.errors import InputError as InputError
 from diffopt.heightfield import Heightfield as Heightfield
+from diffopt.lobes import Lobes as Lobes
 from diffopt.materials.phong import BlinnPhong as BlinnPhong
 from diffopt.settings import ChebyshevSettings as ChebyshevSettings
 from diffopt.settings import DirectSettings as DirectSettings

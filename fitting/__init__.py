@@ -5,6 +5,10 @@ Inverse problems solved with optimistix.
 ==================  ==========================================================
 `measured`          measured reflectance, checked where it comes in
 `heightfield`       a grating's parameters from it
+`lobes`             functions on the sphere to von Mises-Fisher lobes, by `lobe_settings`
+`lobe_targets`      what they are fitted to; `lobe_samples`: samples
+`brdf`              whole BRDFs, with lobes that belong together
+`solvers`           Levenberg-Marquardt on normal equations, for optimistix
 ==================  ==========================================================
 """
 
@@ -15,7 +19,15 @@ if __name__ != "diffopt.fitting":
         "of every module would be loaded"
     )
 
+from diffopt.fitting.brdf import fit_brdf as fit_brdf
 from diffopt.fitting.heightfield import HeightfieldFit as HeightfieldFit
 from diffopt.fitting.heightfield import fit_heightfield as fit_heightfield
 from diffopt.fitting.heightfield import grating_brdf as grating_brdf
+from diffopt.fitting.lobe_samples import fit_samples as fit_samples
+from diffopt.fitting.lobe_settings import LobeSettings as LobeSettings
+from diffopt.fitting.lobe_targets import fit_environment as fit_environment
+from diffopt.fitting.lobe_targets import fit_lobes as fit_lobes
+from diffopt.fitting.lobe_targets import fit_table as fit_table
+from diffopt.fitting.lobes import LobeFit as LobeFit
 from diffopt.fitting.measured import Measured as Measured
+from diffopt.fitting.solvers import NormalLevenbergMarquardt as NormalLevenbergMarquardt

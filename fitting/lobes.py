@@ -1,0 +1,300 @@
+"""Functions on the sphere to lobes: expectation maximisation, then least squares.
+
+EM brings the lobes apart in a few steps (it maximises likelihood, not the square error, and
+closes in on its optimum slowly); a few Levenberg-Marquardt steps from there reach an error
+that EM never does. For one lobe `method="moments"` is the closed form that the glossy-transfer
+paper calls EM.
+
+Batches of functions are fitted side by side in chunks. `LobeSettings.rounds` goes on with
+those that have not settled, in batches of the next power of two, so that no function waits
+for the slowest.
+"""
+
+from typing import Any, Literal, get_args
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+
+from diffopt import checks
+from diffopt.brdf_lobes import BRDFLobes
+from diffopt.errors import InputError
+from diffopt.fitting.lobe_settings import LobeSettings
+from diffopt.kernels import lobe_squares, mixture, vmf
+from diffopt.lobes import Lobes
+
+# Directions [N, 3], solid angles [N] and values [N] of one function; or alpha, mu, kappa.
+Scalar = tuple[Array, Array, Array]
+Method = Literal["em+lm", "lm", "em", "moments"]
+
+
+class LobeFit(eqx.Module):
+    """Result of a fit.
+
+    Attributes
+    ----------
+    lobes
+        The fitted functions.
+    error
+        Relative L2 error over the sphere, on the nodes of the fit, for each function.
+    energy_error
+        Integral of the lobes over that of the function, minus 1, before it was restored.
+    steps
+        Levenberg-Marquardt steps, those on coarse nodes included.
+    settled
+        Whether the last round lowered the squared error by less than `settings.settled` of
+        it; for fits without least squares, always.
+    settings, method
+        What was asked for.
+    brdf
+        For whole BRDFs, the lobes between their views.
+    """
+
+    lobes: Lobes
+    error: Float[Array, "*batch"]
+    energy_error: Float[Array, "*batch"]
+    steps: Int[Array, "*batch"]
+    settled: Bool[Array, "*batch"]
+    settings: LobeSettings = eqx.field(static=True)
+    method: str = eqx.field(static=True)
+    brdf: BRDFLobes | None = None
+
+    def __str__(self) -> str:
+        error = np.atleast_1d(self.error)
+        many = f"{error.size} functions, " if np.ndim(self.error) else ""
+        spread = f" ({error.min():.2g} to {error.max():.2g})" if np.ndim(self.error) else ""
+        rest = int((~np.atleast_1d(self.settled)).sum())
+        ended = (
+            "settled" if not rest else f"{rest} not settled after {int(np.max(self.steps))} steps"
+        )
+        return (
+            f"{many}{self.lobes.count} lobes by {self.method}: relative error "
+            f"{error.mean():.3g}{spread}, energy off by "
+            f"{np.abs(self.energy_error).max():.2g} before it was restored; {ended}"
+        )
+
+
+class Nodes(eqx.Module):
+    """A batch of functions, each at the nodes of a quadrature of its own.
+
+    Attributes
+    ----------
+    directions
+        Unit vectors, [B, N, 3].
+    solid_angles
+        Steradian, [B, N].
+    values
+        [B, N, C] with C colour channels, 1 for scalar functions. The shape of the lobes is
+        fitted to their mean.
+    coarse
+        The same functions on fewer nodes, for the first steps; None for none.
+    """
+
+    directions: Float[Array, "B N 3"]
+    solid_angles: Float[Array, "B N"]
+    values: Float[Array, "B N C"]
+    coarse: "Nodes | None" = None
+
+    def scalar(self) -> Scalar:
+        """Directions, solid angles and the mean over the channels."""
+        return self.directions, self.solid_angles, self.values.mean(-1)
+
+
+def fit_nodes(
+    nodes: Nodes,
+    lobes: int,
+    *,
+    method: Method = "em+lm",
+    settings: LobeSettings | None = None,
+    key: PRNGKeyArray | None = None,
+    start: Lobes | None = None,
+) -> LobeFit:
+    """Fit functions that are known at the nodes of quadratures.
+
+    Parameters
+    ----------
+    nodes
+        The functions.
+    lobes
+        Number of lobes, 1 to 64.
+    method
+        ``"em+lm"``, ``"lm"`` (least squares alone), ``"em"`` (expectation maximisation alone,
+        `LobeSettings.em_steps` of it) or ``"moments"`` (closed form; one lobe).
+    settings
+        `LobeSettings`.
+    key
+        For the scattered start; ``jax.random.key(0)`` if left out.
+    start
+        Lobes [B, K] to start from, in place of EM: their order is kept.
+
+    Raises
+    ------
+    InputError
+        If a value is not finite, or negative where weights may not be, or a function is
+        zero at all nodes.
+    """
+    settings = settings or LobeSettings()
+    checks.choice("method", method, get_args(Method))
+    count = 1 if method == "moments" else lobes
+    if not 1 <= lobes <= 64 or count != lobes:
+        raise InputError(f"lobes must be 1 to 64, and 1 for moments; received {lobes}")
+    _check(nodes, settings)
+    key = jax.random.key(0) if key is None else key
+    begun = None
+    if start is not None:
+        if start.kappa.shape != (nodes.values.shape[0], lobes):
+            raise InputError(
+                f"start must be {nodes.values.shape[0]} times {lobes} lobes; received "
+                f"{start.kappa.shape}"
+            )
+        begun = (start.alpha.reshape(*start.kappa.shape, -1).mean(-1), start.mu, start.kappa)
+        method = "lm"
+    dtype = nodes.values.dtype
+    keys = jax.random.split(key, nodes.values.shape[0])
+    begun, gain = _fit(nodes, keys, begun, count, method, settings)
+    gain = np.array(gain)
+    first = settings.coarse_steps if start is None else 0
+    steps = np.full(gain.shape, settings.lm_steps + first if "lm" in method else 0)
+    if "lm" in method:
+        begun = _rounds(nodes, begun, gain, steps, settings)
+    alpha, mu, kappa = begun
+    alpha, error, energy = _finish(nodes, alpha, mu, kappa, settings)
+    fitted = Lobes(alpha, mu, kappa.astype(dtype))
+    settled = jnp.asarray(gain < settings.settled)
+    return LobeFit(fitted, error, energy, jnp.asarray(steps), settled, settings, method)
+
+
+def _check(nodes: Nodes, settings: LobeSettings) -> None:
+    values = checks.concrete(nodes.values)
+    if values is None:
+        return
+    if not np.isfinite(values).all():
+        raise InputError("values to fit must be finite; received NaN or infinity")
+    if not settings.signed and (values < 0.0).any():
+        raise InputError(
+            f"values to fit must be >= 0 (or set signed=True); received {values.min():.3g}"
+        )
+    empty = ~(values != 0.0).any((1, 2))
+    if empty.any():
+        raise InputError(f"function {int(np.argmax(empty))} is zero at every node")
+
+
+@eqx.filter_jit
+def _fit(
+    nodes: Nodes, keys: Any, start: Any, count: int, method: str, settings: LobeSettings
+) -> tuple[tuple[Array, Array, Array], Array]:
+    """Lobes of every function, and the share of the squared error that the round took away."""
+
+    def one(given: tuple) -> tuple[tuple[Array, Array, Array], Array]:
+        fine, coarse, key, begun = given
+        first = fine if coarse is None else coarse
+        if begun is None:
+            begun = _begin(first, key, count, method, settings)
+            if coarse is not None and "lm" in method:
+                begun, _ = _descend(first, begun, settings, settings.coarse_steps)
+        if "lm" not in method:
+            return begun, jnp.zeros_like(fine[1][0])
+        # Without a coarse grid or a start, its steps are taken here.
+        alone = coarse is None and start is None
+        return _descend(fine, begun, settings, settings.lm_steps + alone * settings.coarse_steps)
+
+    coarse = nodes.coarse.scalar() if nodes.coarse is not None and method == "em+lm" else None
+    size = min(settings.chunk, nodes.values.shape[0])
+    return jax.lax.map(one, (nodes.scalar(), coarse, keys, start), batch_size=size)
+
+
+def _begin(
+    given: Scalar, key: Any, count: int, method: str, settings: LobeSettings
+) -> tuple[Array, Array, Array]:
+    directions, solid, values = given
+    weights = solid * jnp.maximum(values, 0.0)
+    if count == 1:
+        # Of one lobe EM's first step is its last.
+        total, mu, kappa = mixture.moments(directions, weights, settings.sharpest)
+        return total[None], mu[None], jnp.maximum(kappa, mixture.FLATTEST)[None]
+    if settings.start == "scattered":
+        begun = mixture.scattered_start(key, directions, weights, count, settings.sharpest)
+    else:
+        begun = mixture.split_start(directions, weights, count, settings.sharpest)
+    if method != "lm":
+        begun, _ = mixture.expectation_maximisation(
+            directions, weights, begun, settings.em_steps, settings.sharpest
+        )
+    return weights.sum() * jnp.exp(begun.log_share), begun.mu, begun.kappa
+
+
+def _descend(
+    function: Scalar, begun: Scalar, settings: LobeSettings, steps: int
+) -> tuple[tuple[Array, Array, Array], Array]:
+    signed = settings.signed
+    given, norm = lobe_squares.problem(*function)
+    at, base = lobe_squares.parameters(*begun, norm, signed=signed)
+    start = lobe_squares.begin(at, base, given, signed=signed)
+    state = lobe_squares.levenberg_marquardt(
+        start, base, given, steps, settings.sharpest, signed=signed
+    )
+    before = jnp.maximum(start.system.cost, 1e-30)
+    gain = (start.system.cost - state.system.cost) / before
+    return lobe_squares.lobes(state.at, base, norm, signed=signed), gain
+
+
+def _rounds(
+    nodes: Nodes, begun: tuple, gain: np.ndarray, steps: np.ndarray, settings: LobeSettings
+) -> tuple:
+    """Go on with what has not settled, in batches of powers of two; changes gain and steps."""
+    lobes = begun[2].shape[1]
+    for _ in range(settings.rounds - 1):
+        active = np.flatnonzero(gain >= settings.settled)
+        if not active.size:
+            break
+        size = min(1 << int(active.size - 1).bit_length(), gain.size)
+        padded = np.resize(active, size)  # the rest repeats
+        found, gained = _fit(
+            _members(nodes, padded), None, _members(begun, padded), lobes, "lm", settings
+        )
+        begun = _replaced(begun, active, found)
+        gain[active] = np.asarray(gained)[: active.size]
+        steps[active] += settings.lm_steps
+    return begun
+
+
+def _members(batch: Any, rows: np.ndarray) -> Any:
+    return jax.tree.map(lambda a: a[rows], batch)
+
+
+def _replaced(batch: Any, rows: np.ndarray, found: Any) -> Any:
+    return jax.tree.map(lambda a, b: a.at[rows].set(b[: rows.size]), batch, found)
+
+
+@eqx.filter_jit
+def _finish(
+    nodes: Nodes, alpha: Array, mu: Array, kappa: Array, settings: LobeSettings
+) -> tuple[Array, Array, Array]:
+    """Weights of every channel with the energy as asked for, and the errors."""
+    signed = settings.signed
+
+    def one(given: tuple) -> tuple[Array, Array, Array]:
+        directions, solid, values, alpha, mu, kappa = given
+        channels = values.shape[-1]
+        if channels > 1:
+            alpha = lobe_squares.best_weights(values, solid, directions, mu, kappa, signed=signed)
+        else:
+            alpha = alpha[:, None]
+        wanted = (solid[:, None] * values).sum(0)
+        whole = alpha.sum(0)
+        some = (whole != 0.0) & (wanted != 0.0)
+        ratio = jnp.where(some, wanted / jnp.where(some, whole, 1.0), 1.0)
+        off = jnp.abs(1.0 / ratio - 1.0).max()
+        if settings.energy == "restored":
+            alpha = alpha * ratio[None]
+        density = vmf.pdf(directions[None], mu[:, None], kappa[:, None])
+        missed = jnp.tensordot(density, alpha, ((0,), (0,)), precision="highest") - values
+        square = (solid[:, None] * missed**2).sum() / (solid[:, None] * values**2).sum()
+        return alpha, jnp.sqrt(square), off
+
+    given = (nodes.directions, nodes.solid_angles, nodes.values, alpha, mu, kappa)
+    size = min(settings.chunk, kappa.shape[0])
+    alpha, error, off = jax.lax.map(one, given, batch_size=size)
+    return alpha[..., 0] if nodes.values.shape[-1] == 1 else alpha, error, off
