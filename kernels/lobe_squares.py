@@ -13,7 +13,7 @@ residual. One problem at a time; batches by ``jax.vmap``.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -73,8 +73,10 @@ def problem(
     """The problem of fitting values at directions, and the norm that was divided out."""
     root = jnp.sqrt(solid_angles)
     target = root * values
-    norm = jnp.sqrt((target * target).sum())
-    return Problem(directions.T, root, target / jnp.where(norm > 0.0, norm, 1.0)), norm
+    square = (target * target).sum()
+    some = square > 0.0
+    norm = jnp.where(some, jnp.sqrt(jnp.where(some, square, 1.0)), 0.0)
+    return Problem(directions.T, root, target / jnp.where(some, norm, 1.0)), norm
 
 
 def parameters(
@@ -240,7 +242,7 @@ def levenberg_marquardt(
         Whether weights may be negative.
     """
 
-    def one(_: int, state: Progress) -> Progress:
+    def one(_: Any, state: Progress) -> Progress:
         at = moved(state.at, damped_step(state.system, state.damping), sharpest, signed=signed)
         system = normal_equations(*residuals(at, base, given, signed=signed))
         better = system.cost < state.system.cost
@@ -282,7 +284,7 @@ def best_weights(
     found = jax.scipy.linalg.solve(matrix, right, assume_a="pos")
     if not signed:
 
-        def sweep(_: int, x: Array) -> Array:
+        def sweep(_: Any, x: Array) -> Array:
             for k in range(count):  # Gauss-Seidel over a small static count
                 rest = right[k] - matrix[k] @ x + matrix[k, k] * x[k]
                 x = x.at[k].set(jnp.maximum(rest / matrix[k, k], 0.0))

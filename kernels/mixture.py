@@ -225,11 +225,14 @@ def split_start(
     first, second = frames.tangents(mean)
     across = jnp.stack([directions @ first, directions @ second])
     covariance = (across * (weights / jnp.where(whole > 0.0, whole, 1.0))[None]) @ across.T
-    # Half the angle of the principal axis, in closed form; any axis if it is round.
-    twice = jnp.arctan2(2.0 * covariance[0, 1], covariance[0, 0] - covariance[1, 1])
+    # Half the angle of the principal axis, in closed form; the first if it is round.
+    skew, wide = 2.0 * covariance[0, 1], covariance[0, 0] - covariance[1, 1]
+    long = (skew != 0.0) | (wide != 0.0)
+    twice = jnp.arctan2(jnp.where(long, skew, 0.0), jnp.where(long, wide, 1.0))
     axis = jnp.cos(0.5 * twice) * first + jnp.sin(0.5 * twice) * second
-    size = jnp.sqrt(jnp.maximum((axis @ directions.T) ** 2 @ weights, 0.0))
-    size = size / jnp.sqrt(jnp.where(whole > 0.0, whole, 1.0))
+    square = (axis @ directions.T) ** 2 @ weights / jnp.where(whole > 0.0, whole, 1.0)
+    # The root is kept off zero, where it has no slope.
+    size = jnp.sqrt(jnp.maximum(square, float(jnp.finfo(square.dtype).tiny)))
     steps = jnp.linspace(-2.0, 2.0, lobes, dtype=weights.dtype) if lobes > 1 else jnp.zeros(1)
     vectors = mean[None] + (steps.astype(weights.dtype) * size)[:, None] * axis[None]
     mu = vectors / jnp.sqrt((vectors * vectors).sum(-1, keepdims=True))

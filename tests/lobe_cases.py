@@ -4,6 +4,7 @@ The twins take power series below a concentration of 2 (the kernels: below 1) an
 of logarithms, which 80 bits afford, above it.
 """
 
+from dataclasses import replace
 from math import factorial
 
 import jax
@@ -11,7 +12,17 @@ import jax.numpy as jnp
 import numpy as np
 from hard_cases import LD, PI, Hard
 
-from diffopt.kernels import frames, langevin, vmf, vmf_pairs, vmf_sampling
+from diffopt.kernels import (
+    frames,
+    langevin,
+    lobe_squares,
+    mixture,
+    quadrature,
+    vmf,
+    vmf_pairs,
+    vmf_sampling,
+)
+from diffopt.kernels.lobe_squares import Base, Parameters, Problem, Progress, System
 
 SLANT = np.array([0.48, -0.36, 0.8])
 OTHER = np.array([-0.48, 0.6, 0.64])
@@ -34,6 +45,10 @@ def lobe_rows():
     yield from _interpolations()
     yield from _samplers()
     yield from _frames()
+    for fits in (_moments, _mixtures, _starts, _problems, _steps, _grids):
+        for row in fits():
+            # One by one, each of their hundred operations would be compiled for a shape of its own.
+            yield replace(row, call=jax.jit(row.call))
 
 
 def _sum(k, term):
@@ -522,4 +537,451 @@ def _frames():
             (mu,),
             _tangents,
             smooth=label != "just below",
+        )
+
+
+# Directions of fits. Rows normalise them on both sides: a formula on the sphere has one slope
+# there and many across it.
+AROUND = np.array([[0.48, -0.36, 0.8], [0.6, 0.0, 0.8], [0.0, -0.6, 0.8], [0.36, 0.48, 0.8]])
+TIGHT = SLANT + 1e-3 * np.array([[0.6, 0.8, 0.0], [-0.8, 0.0, 0.48], [0.3, 0.4, -0.1], [0, 0, 1]])
+SHARPEST = 1e6
+
+
+def _normal(s):
+    return s / np.sqrt((s**2).sum(-1, keepdims=True))
+
+
+def _on_sphere(call, place=0):
+    """A kernel with directions that are brought to unit length first."""
+
+    def wrapped(*arguments):
+        held = list(arguments)
+        s = held[place]
+        held[place] = s / jnp.sqrt((s**2).sum(-1, keepdims=True))
+        return call(*held)
+
+    return wrapped
+
+
+def _mean_direction(s, w):
+    s, total = _normal(s), w.sum()
+    mean = (s * w[:, None]).sum(0) / (total or LD(1))
+    length = np.sqrt((mean**2).sum())
+    spread = (((s - mean) ** 2).sum(-1) * w).sum() / (total or LD(1))
+    if length < 1e-7:  # by symmetry: what is left of it is rounding
+        return total, NORMAL.astype(LD), LD(0), LD(1)
+    return total, mean / length, length, spread / (1 + length)
+
+
+def _single(s, w, sharpest=SHARPEST):
+    total, mu, length, rest = _mean_direction(s, w)
+    rest = max(rest, 1 / LD(sharpest))
+    return total, mu, min(_inverse(min(length, 1 - rest), rest), LD(sharpest))
+
+
+def _moments():
+    """Rows of one shape, so that one program serves them all."""
+    for label, s, w in (
+        ("around", AROUND, (1.0, 0.5, 2.0, 0.0)),
+        ("tight", TIGHT, (1.0, 2.0, 0.5, 1.0)),
+        ("alike", np.stack([SLANT] * 4), (1.0, 2.0, 0.5, 1.0)),
+        ("opposite", np.stack([NORMAL, BELOW] * 2), (1.0, 1.0, 0.5, 0.5)),
+        ("nothing", AROUND, (0.0,) * 4),
+    ):
+        if label != "alike":
+            yield Hard(
+                "mixture.mean_direction",
+                label,
+                _on_sphere(mixture.mean_direction),
+                (s, np.array(w)),
+                _mean_direction,
+                smooth=label not in ("opposite", "nothing"),  # no direction there
+            )
+        if label in ("around", "tight", "alike"):
+            yield Hard(
+                "mixture.moments",
+                label,
+                _log_last(_on_sphere(lambda s, w: mixture.moments(s, w, 1e8))),
+                (s, np.array(w)),
+                _log_last(lambda s, w: _single(s, w, 1e8)),
+                # Directions 1e-3 apart are rounded by eps / 1e-3 of their distance.
+                ulps=1e3 if label == "tight" else 8,
+                smooth=label == "around",  # steps of differences of a hundredth of the spread
+            )
+
+
+def _log_last(call):
+    """The concentration by its logarithm: its relative error counts, whatever its size."""
+
+    def wrapped(*arguments):
+        *rest, last = call(*arguments)
+        return *rest, jnp.log(last) if isinstance(last, jax.Array) else np.log(last)
+
+    return wrapped
+
+
+def _each(s, log_share, mu, kappa):
+    t = ((s[None] - mu[:, None]) ** 2).sum(-1) / 2
+    return (log_share + _peak(kappa))[:, None] - kappa[:, None] * t
+
+
+def _log_likelihood(s, w, log_share, mu, kappa):
+    density = np.log(np.exp(_each(_normal(s), log_share, _normal(mu), kappa)).sum(0))
+    return (w * density).sum() / (w.sum() or LD(1))
+
+
+def _em(s, w, log_share, mu, kappa):
+    """Two steps, without safeguards that these rows do not need."""
+    s, mu, found = _normal(s), _normal(mu), []
+    for _ in range(2):
+        density = np.exp(_each(s, log_share, mu, kappa))
+        found.append((w * np.log(density.sum(0))).sum() / w.sum())
+        owned = density / density.sum(0) * w
+        log_share = np.log(owned.sum(-1) / w.sum())
+        parts = [_single(s, row, 1e12) for row in owned]
+        mu, kappa = np.stack([p[1] for p in parts]), np.stack([p[2] for p in parts])
+    return log_share, mu, kappa, np.array(found)
+
+
+def _mixtures():
+    share = np.log([0.75, 0.25])
+    mus = np.stack([SLANT, OTHER])
+    w = np.array([1.0, 0.5, 2.0, 0.25])
+    for label, s, kappa in (("wide", AROUND, (0.5, 3.0)), ("sharp", TIGHT, (1e6, 1e-3))):
+        yield Hard(
+            "mixture.log_likelihood",
+            label,
+            _on_sphere(
+                _on_sphere(lambda s, w, *m: mixture.log_likelihood(s, w, mixture.Mixture(*m))), 3
+            ),
+            (s, w, share, mus, np.array(kappa)),
+            _log_likelihood,
+            # Distances of 1e-3 times 1e6 are rounded by 1e3 eps of 16 nats.
+            ulps=100 if label == "sharp" else 8,
+            gradient_ulps=1e5 if label == "sharp" else 1e3,
+        )
+
+    def steps(s, w, *start):
+        found, likelihood = mixture.expectation_maximisation(s, w, mixture.Mixture(*start), 2, 1e6)
+        return *found, likelihood
+
+    yield Hard(
+        "mixture.expectation_maximisation",
+        "two steps",
+        _on_sphere(_on_sphere(steps), 3),
+        (AROUND, w, share, mus, np.array([2.0, 3.0])),
+        _em,
+        ulps=64,  # concentrations of 8 from spreads of 0.1 about means of 0.9
+        gradient_ulps=1e4,
+    )
+
+
+def _starts():
+    s, w = np.stack([SLANT, OTHER]), np.array([1.0, 0.25])
+
+    def scattered(s, w):
+        # The first draw of this key falls on the first direction, in either type; then all
+        # weight lies on the second.
+        return mixture.scattered_start(jax.random.key(2), s, w, 2, SHARPEST)
+
+    def scattered_twin(s, w):
+        kappa = 2 * _single(s, w)[2]
+        return np.log(np.full(2, LD(1) / 2)), _normal(s), np.stack([kappa, kappa])
+
+    yield Hard("mixture.scattered_start", "two", _on_sphere(scattered), (s, w), scattered_twin)
+
+    def split_twin(s, w):
+        s = _normal(s)
+        _, mean, kappa = _single(s, w)
+        share = w / (w.sum() or LD(1))
+        first, second = _tangents(mean)
+        across = np.stack([s @ first, s @ second])
+        (a, b), (_, c) = (across * share) @ across.T
+        half = np.arctan2(2 * b, a - c) / 2 if b or a != c else LD(0)
+        axis = np.cos(half) * first + np.sin(half) * second
+        size = np.sqrt(((s @ axis) ** 2 * share).sum())
+        mu = _normal(mean + np.array([-2, 0, 2], LD)[:, None] * size * axis)
+        kappa = min(max(3 * kappa, LD(mixture.FLATTEST)), LD(SHARPEST))
+        return np.log(np.full(3, LD(1) / 3)), mu, np.stack([kappa] * 3)
+
+    for label, s, w in (
+        ("slanted", AROUND, (1.0, 0.5, 2.0, 0.25)),
+        ("nothing", AROUND, (0.0,) * 4),
+    ):
+        yield Hard(
+            "mixture.split_start",
+            label,
+            _on_sphere(lambda s, w: mixture.split_start(s, w, 3, SHARPEST)),
+            (s, np.array(w)),
+            split_twin,
+            ulps=32,  # the axis of an ellipse of 2 : 1
+            smooth=label == "slanted",
+            gradient_ulps=1e4,
+        )
+
+
+LOBES = (
+    np.array([-0.3, 0.5]),  # weights, or logs of them
+    np.log([2.0, 9.0]),
+    np.array([[0.1, -0.3], [0.2, 0.05]]),
+)
+
+
+def _base(mu, kappa):
+    sides = [np.stack(x) for x in zip(*(_tangents(m) for m in mu), strict=True)]
+    return mu, *(e / np.sqrt(kappa)[:, None] for e in sides)
+
+
+BASE = tuple(np.asarray(x, float) for x in _base(np.stack([SLANT, OTHER]), np.array([2.0, 9.0])))
+NODES = np.concatenate([AROUND, [[0.0, 0.0, 1.0], [-0.6, 0.64, 0.48], [0.8, 0.0, 0.6]]])
+ROOT = np.sqrt([0.3, 0.2, 0.5, 0.4, 0.1, 0.25, 0.35])
+TARGET = np.array([0.4, 0.2, 0.5, 0.1, 0.3, 0.6, 0.15])
+
+
+def _residuals(weight, log_kappa, offset, *rest, signed):
+    base, (nodes, root, target) = rest[:3], rest[3:]
+    kappa = np.exp(log_kappa)
+    vector = base[0] + offset[0][:, None] * base[1] + offset[1][:, None] * base[2]
+    size = np.sqrt((vector**2).sum(-1, keepdims=True))
+    mu = vector / size
+    d = nodes[None] - mu[..., None]
+    falls = kappa[:, None] * (d**2).sum(1) / 2
+    peak = np.sqrt(kappa / (PI * -np.expm1(-4 * kappa)))
+    shape = peak[:, None] * np.exp(-falls) * root
+    lobe = (weight if signed else np.exp(weight))[:, None] * shape
+    rise = (1 - 4 * kappa / np.expm1(4 * kappa)) / 2
+    rows = [shape if signed else lobe, lobe * (rise[:, None] - falls)]
+    for e in base[1:]:
+        turn = kappa[:, None] * (e - (e * mu).sum(-1, keepdims=True) * mu) / size
+        rows.append(lobe * (turn[..., None] * d).sum(1))
+    return lobe.sum(0) - target, np.concatenate(rows)
+
+
+def _equations(residual, rows):
+    return rows @ rows.T, rows @ residual, (residual**2).sum()
+
+
+def _solved(matrix, right):
+    """Gauss's elimination: NumPy has none in 80 bits."""
+    rows = np.concatenate([matrix, right[:, None]], 1)
+    for i in range(len(rows)):
+        rows[i] = rows[i] / rows[i, i]
+        for j in range(len(rows)):
+            if j != i:
+                rows[j] = rows[j] - rows[j, i] * rows[i]
+    return rows[:, -1]
+
+
+def _step(matrix, slope, damping, third):
+    """`third` is 1/3 as the type holds it, which tells the twin whose ridge to take."""
+    ridge = LD(1e-6) if abs(3 * third - 1) > 1e-12 else LD(1e-9)
+    damped = matrix + np.diag(damping * np.diagonal(matrix) + ridge)
+    return np.clip(_solved(damped, -slope), -1, 1)
+
+
+def _moved(weight, log_kappa, offset, step, signed):
+    first, second, *turns = step.reshape(4, -1)
+    return (
+        weight + first if signed else np.clip(weight + first, -30, 10),
+        np.clip(log_kappa + second, np.log(LD(mixture.FLATTEST)), np.log(LD(SHARPEST))),
+        offset + np.stack(turns),
+    )
+
+
+def _problem(s, solid, values):
+    root = np.sqrt(solid)
+    norm = np.sqrt(((root * values) ** 2).sum())
+    return s.T, root, root * values / (norm or LD(1)), norm
+
+
+def _lobe_weights(alpha, mu, kappa, norm, signed):
+    weight = alpha * np.sqrt(_norm2(kappa)) / norm
+    return (
+        weight if signed else np.log(np.maximum(weight, 1e-6)),
+        np.log(kappa),
+        np.zeros((2, len(kappa)), LD),
+        *_base(mu, kappa),
+    )
+
+
+def _lobes_of(weight, log_kappa, offset, axis, first, second, norm, signed):
+    kappa = np.exp(log_kappa)
+    mu = _normal(axis + offset[0][:, None] * first + offset[1][:, None] * second)
+    weight = weight if signed else np.exp(weight)
+    return norm * weight / np.sqrt(_norm2(kappa)), mu, kappa
+
+
+def _problems():
+    for label, values in (("values", TARGET), ("zero", 0 * TARGET)):
+        yield Hard(
+            "lobe_squares.problem",
+            label,
+            lambda *a: _unpacked(lobe_squares.problem(*a)),
+            (NODES, ROOT**2, values),
+            _problem,
+            smooth=label == "values",
+        )
+    at, base, given = LOBES, BASE, (NODES.T, ROOT, TARGET)
+    lobes = np.array([0.7, 1.5]), np.stack([SLANT, OTHER]), np.array([0.5, 30.0]), 1.3
+    for signed in (False, True):
+        label = "signed" if signed else "positive"
+
+        def residuals(*a, signed=signed):
+            return lobe_squares.residuals(
+                Parameters(*a[:3]), Base(*a[3:6]), Problem(*a[6:]), signed=signed
+            )
+
+        yield Hard(
+            "lobe_squares.residuals",
+            label,
+            residuals,
+            (*at, *base, *given),
+            lambda *a, signed=signed: _residuals(*a, signed=signed),
+        )
+        if signed:
+            continue
+        yield Hard(
+            "lobe_squares.parameters",
+            label,
+            _tangential(
+                lambda *a, signed=signed: _unpacked(lobe_squares.parameters(*a, signed=signed)), 1
+            ),
+            lobes,
+            lambda *a, signed=signed: _lobe_weights(*a, signed),
+            smooth=False,  # tangents of a vector off the sphere differ
+        )
+        yield Hard(
+            "lobe_squares.lobes",
+            label,
+            lambda *a, signed=signed: lobe_squares.lobes(
+                Parameters(*a[:3]), Base(*a[3:6]), a[6], signed=signed
+            ),
+            (*at, *base, 1.3),
+            lambda *a, signed=signed: _lobes_of(*a, signed),
+        )
+    yield Hard(
+        "lobe_squares.best_weights",
+        "positive",
+        lambda *a: lobe_squares.best_weights(*a[:-1], signed=False),
+        (np.stack([TARGET, TARGET[::-1]], -1), ROOT**2, NODES, *lobes[1:3], 1 / 3),
+        _best_weights,
+        ulps=64,  # conditions of 3
+    )
+
+
+def _unpacked(value):
+    """Leaves of named tuples within tuples, in order."""
+    return tuple(jax.tree.leaves(value))
+
+
+def _best_weights(values, solid, s, mu, kappa, third):
+    shape = np.exp(
+        _peak(kappa)[:, None] - kappa[:, None] * ((s[None] - mu[:, None]) ** 2).sum(-1) / 2
+    )
+    size = np.sqrt((shape**2 * solid).sum(-1))
+    unit = shape / size[:, None]
+    ridge = LD(1e-6) if abs(3 * third - 1) > 1e-12 else LD(1e-12)
+    matrix = (unit * solid) @ unit.T + ridge * np.eye(2)
+    found = np.stack([_solved(matrix, c) for c in ((unit * solid) @ values).T], -1)
+    assert (found > 0).all()  # else the bound would count
+    return found / size[:, None]
+
+
+def _steps():
+    residual, rows = _residuals(*LOBES, *BASE, NODES.T, ROOT, TARGET, signed=False)
+    equations = tuple(np.asarray(x, float) for x in _equations(residual, rows))
+    yield Hard(
+        "lobe_squares.normal_equations",
+        "lobes",
+        lambda *a: tuple(lobe_squares.normal_equations(*a)),
+        (np.asarray(residual, float), np.asarray(rows, float)),
+        _equations,
+    )
+    yield Hard(
+        "lobe_squares.damped_step",
+        "lobes",
+        lambda m, s, d, _: lobe_squares.damped_step(System(m, s, s[0]), d),
+        (*equations[:2], 0.5, 1 / 3),
+        _step,
+        ulps=64,
+        # Entries of the matrix below the diagonal are its own: the solver reads one half.
+        smooth=False,
+    )
+    step = np.array([0.3, -40.0, 0.5, -20.0, 0.1, 0.2, -0.3, 0.9])
+    yield Hard(
+        "lobe_squares.moved",
+        "to the ends",
+        lambda *a: tuple(lobe_squares.moved(Parameters(*a[:3]), a[3], SHARPEST, signed=False)),
+        (*LOBES, step),
+        lambda *a: _moved(*a, False),
+    )
+    given = (*BASE, NODES.T, ROOT, TARGET)
+
+    def begun(*a):
+        return lobe_squares.begin(Parameters(*a[:3]), Base(*a[3:6]), Problem(*a[6:9]), signed=False)
+
+    def begun_twin(*a):
+        found = _equations(*_residuals(*a, signed=False))
+        return *a[:3], *found, np.array(0.01, LD)
+
+    yield Hard(
+        "lobe_squares.begin", "lobes", lambda *a: _unpacked(begun(*a)), (*LOBES, *given), begun_twin
+    )
+
+    def descended(*a):
+        # Damped so much that each step lowers the cost by far more than rounding.
+        state = begun(*a[:9])
+        state = Progress(state.at, state.system, a[9])
+        found = lobe_squares.levenberg_marquardt(
+            state, Base(*a[3:6]), Problem(*a[6:9]), 2, SHARPEST, signed=False
+        )
+        return *found.at, found.system.cost, found.damping
+
+    def descended_twin(*a):
+        at, damping = a[:3], a[9]
+        *system, cost = _equations(*_residuals(*a[:9], signed=False))
+        for _ in range(2):
+            at = _moved(*at, _step(*system, damping, a[10]), False)
+            *system, now = _equations(*_residuals(*at, *a[3:9], signed=False))
+            assert now < 0.99 * cost  # else both might choose otherwise
+            cost, damping = now, damping * LD(0.2)
+        return *at, cost, damping
+
+    yield Hard(
+        "lobe_squares.levenberg_marquardt",
+        "two steps",
+        descended,
+        (*LOBES, *given, 1.0, 1 / 3),
+        descended_twin,
+        ulps=64,
+        gradient_ulps=1e5,
+    )
+
+
+def _polar(axis, core, rings, sectors):
+    y, dy = np.polynomial.legendre.leggauss(rings)
+    y, dy = (y.astype(LD) + 1) / 2, dy.astype(LD) / 2
+    reach = np.arcsinh(1 / core)
+    x, dx = core * np.sinh(reach * y), core * reach * np.cosh(reach * y) * dy
+    angle = 2 * PI * (np.arange(sectors) + LD(1) / 2) / sectors
+    t = 2 * x * x
+    across = np.sqrt(t * (2 - t))[:, None, None]
+    first, second = _tangents(axis)
+    around = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second
+    s = across * around + (1 - t)[:, None, None] * axis
+    return s.reshape(-1, 3), np.repeat(4 * x * dx * 2 * PI / sectors, sectors)
+
+
+def _grids():
+    for label, axis, core in (("slant", SLANT, 0.3), ("down", BELOW, 0.01)):
+        yield Hard(
+            "quadrature.polar_grid",
+            label,
+            lambda axis, core: quadrature.polar_grid(axis, 4, 3, core),
+            (axis, core),
+            lambda axis, core: _polar(axis, core, 4, 3),
+            # x = core sinh(reach y) with reach 5.3: rounding of the exponent; near the opposite
+            # pole the root of 2 - t.
+            ulps=64,
+            gradient_ulps=1e4,
         )
