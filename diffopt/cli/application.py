@@ -7,7 +7,16 @@ from typing import Annotated
 import typer
 
 from diffopt import __version__
-from diffopt.cli import comparing, demo, diffraction, errors, inspection, material, studying
+from diffopt.cli import (
+    comparing,
+    demo,
+    diffraction,
+    errors,
+    fitting,
+    inspection,
+    material,
+    studying,
+)
 from diffopt.errors import InputError
 
 app = typer.Typer(
@@ -21,6 +30,7 @@ app = typer.Typer(
 )
 app.command("diffraction")(diffraction.command)
 app.command("material")(material.command)
+app.add_typer(fitting.app, name="fit")
 app.command("demo")(demo.command)
 app.command("accuracy")(studying.accuracy)
 app.add_typer(comparing.app, name="compare")

@@ -1,0 +1,293 @@
+"""What ``diffopt fit lobes`` is given: a material, an environment map, or samples.
+
+Files are told apart by what they hold:
+
+=============  ==================================================================
+map            ``.exr`` (needs OpenEXR), ``.hdr``, ``.png`` (sRGB), ``.npy`` [H, W] or
+               [H, W, C], radiance; first row at the zenith, columns from azimuth 0
+samples        ``.npy`` [N, 3] or, with weights, [N, 4]; ``.npz`` with ``directions`` and
+               perhaps ``weights``; ``.csv`` with columns x, y, z and perhaps weight
+material       every other ``.csv`` and ``.npz``, and ``.binary``, ``.bsdf``, ``.pbsdf``
+=============  ==================================================================
+"""
+
+import dataclasses
+import importlib
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from diffopt import checks
+from diffopt.cli import material as material_command
+from diffopt.cli.limits import refuse_enormous
+from diffopt.drawing import tones
+from diffopt.drawing.lobe_fits import Function, in_blocks
+from diffopt.errors import InputError
+from diffopt.io.files import describe, existing_file, one_line, require_signature
+from diffopt.materials import naming, scattered
+from diffopt.materials.base import Material
+
+#: Maps with more rows are averaged down before the fit.
+MOST_ROWS = 256
+#: Suffixes of maps.
+MAPS = (".exr", ".hdr", ".png")
+
+_SAMPLES = "[N, 3] directions, or [N, 4] with weights"
+
+
+@dataclasses.dataclass(frozen=True)
+class Target:
+    """What lobes are fitted to.
+
+    Attributes
+    ----------
+    name
+        As it was asked for; of a file without folders.
+    kind
+        ``material``, ``map`` or ``samples``.
+    content
+        A `Subject`, an image [H, W, C], or directions [N, 3] with weights [N] or None.
+    notes
+        What was assumed.
+    """
+
+    name: str
+    kind: Literal["material", "map", "samples"]
+    content: Any
+    notes: tuple[str, ...] = ()
+
+
+def read(word: str, chosen: dict[str, Any]) -> Target:
+    """What is meant by a name or a file.
+
+    Parameters
+    ----------
+    word
+        As typed.
+    chosen
+        Options of named materials; None for those not given.
+
+    Raises
+    ------
+    InputError
+        For what is neither, cannot be read, or has no lobes.
+    """
+    path = Path(word)
+    suffix = path.suffix.lower()
+    if word not in naming.NAMES and suffix in (*MAPS, ".npy", ".npz", ".csv"):
+        existing_file(path)
+        refuse_enormous(path)
+        found = _file(path, suffix)
+        used = [name for name, value in chosen.items() if value is not None]
+        if found is not None and used:
+            raise InputError(f"--{used[0]} is for named materials; {word} is a file")
+        if found is not None:
+            return found
+    known = word in naming.NAMES or path.exists() or suffix in naming.SUFFIXES
+    if not known:
+        raise InputError(f"{naming.unknown(word)}; a map or samples ({', '.join(MAPS)}, .npy)")
+    subject = material_command._subject(word, chosen)
+    if subject.material.delta:
+        raise InputError(
+            f"{word}: perfect mirrors and refraction have no width, and no lobes; take a rough "
+            "material"
+        )
+    # Some notes are about the picture of a sphere.
+    notes = tuple(note for note in subject.notes if "the sphere" not in note)
+    return Target(subject.name, "material", subject, notes)
+
+
+def reflected(material: Material, wo: Float[np.ndarray, "3"]) -> Function:
+    """F(wi, wo) |cos theta_i| against wi, 1/sr, the mean of the channels, in float32."""
+    viewer = np.broadcast_to(wo.astype(np.float32), (tones.BLOCK, 3))
+
+    def values(wi: np.ndarray) -> np.ndarray:
+        f = np.asarray(material.f(wi.astype(np.float32), viewer), np.float64)
+        return f.reshape(len(wi), -1).mean(-1) * np.abs(wi[:, 2])
+
+    return lambda directions: in_blocks(values, directions)
+
+
+def _file(path: Path, suffix: str) -> Target | None:
+    """A map or samples, None for a table of a material."""
+    if suffix == ".csv":
+        return _text(path)
+    if suffix in (".npy", ".npz"):
+        return _arrays(path, suffix)
+    readers = {".exr": _exr, ".hdr": _radiance_hdr, ".png": _png}
+    return _map(path, readers[suffix](path))
+
+
+def _text(path: Path) -> Target | None:
+    columns = scattered._text(path)
+    if not {"x", "y", "z"} <= set(columns):
+        return None
+    others = set(columns) - {"x", "y", "z", "weight"}
+    if others:
+        raise InputError(
+            f"{path}: samples have columns x, y, z and perhaps weight; received "
+            f"{', '.join(sorted(others))} too"
+        )
+    directions = np.stack([columns[name] for name in "xyz"], -1)
+    return _samples(path, directions, columns.get("weight"))
+
+
+def _arrays(path: Path, suffix: str) -> Target | None:
+    try:
+        found = np.load(path, allow_pickle=False)
+        content = {name: found[name] for name in found.files} if suffix == ".npz" else None
+    except (ValueError, EOFError, OSError, KeyError) as error:
+        raise InputError(f"{path}: cannot be read: {one_line(error)}") from error
+    if content is not None:
+        if "directions" not in content:
+            return None
+        if "values" in content:
+            raise InputError(
+                f"{path}: values at directions need solid angles, see diffopt.fitting.fit_table; "
+                "samples have directions and perhaps weights"
+            )
+        return _samples(path, content["directions"], content.get("weights"))
+    if found.dtype.kind not in "fiu":
+        raise InputError(f"{path}: expected real numbers; received {found.dtype}")
+    if found.ndim == 2 and found.shape[1] in (3, 4):
+        return _samples(path, found[:, :3], found[:, 3] if found.shape[1] == 4 else None)
+    if found.ndim not in (2, 3) or min(found.shape[:2]) < 4:
+        raise InputError(
+            f"{path}: expected a map [H, W] or [H, W, C], or {_SAMPLES}; received {found.shape}"
+        )
+    return _map(path, found)
+
+
+def _samples(path: Path, directions: np.ndarray, weights: np.ndarray | None) -> Target:
+    directions = np.asarray(directions, np.float64)
+    if directions.ndim != 2 or directions.shape[1] != 3 or not len(directions):
+        raise InputError(f"{path}: expected {_SAMPLES}; received {directions.shape}")
+    checks.directions(f"{path}: directions", directions)
+    if weights is not None:
+        weights = np.asarray(weights, np.float64)
+        if weights.shape != directions.shape[:1]:
+            raise InputError(
+                f"{path}: weights must be [{len(directions)}]; received {weights.shape}"
+            )
+        if not (np.isfinite(weights) & (weights >= 0.0)).all():
+            raise InputError(f"{path}: weights must be finite and >= 0")
+        if not weights.any():
+            raise InputError(f"{path}: all weights are zero")
+    return Target(path.name, "samples", (directions, weights))
+
+
+def _map(path: Path, image: np.ndarray) -> Target:
+    """A map that can be fitted: finite, not negative, not too fine."""
+    image = np.asarray(image, np.float64)
+    image = image[..., None] if image.ndim == 2 else image
+    if not np.isfinite(image).all():
+        bad = int((~np.isfinite(image)).any(-1).sum())
+        raise InputError(f"{path}: {bad} of {image[..., 0].size} pixels are NaN or infinite")
+    notes = []
+    if path.suffix.lower() == ".png":
+        notes.append("a .png holds 8 or 16 bits of sRGB: what is brighter than white is cut off")
+    if (image < 0.0).any():
+        notes.append(f"{int((image < 0.0).any(-1).sum())} pixels with negative values: taken as 0")
+        image = np.maximum(image, 0.0)
+    if not image.any():
+        raise InputError(f"{path}: the map is black")
+    height, width = image.shape[:2]
+    if width != 2 * height:
+        notes.append(
+            f"{width} x {height} pixels: taken for the whole sphere, 360 x 180 degrees, though not "
+            "twice as wide as high"
+        )
+    block = -(-height // MOST_ROWS)
+    if block > 1:
+        height, width = height // block, width // block
+        image = image[: height * block, : width * block]
+        image = image.reshape(height, block, width, block, -1).mean((1, 3))
+        notes.append(f"averaged to {width} x {height} pixels")
+    return Target(path.name, "map", image, tuple(notes))
+
+
+def _exr(path: Path) -> np.ndarray:
+    require_signature(path, (b"\x76\x2f\x31\x01",), "an OpenEXR image")
+    try:
+        library = importlib.import_module("OpenEXR")
+    except ImportError:
+        raise InputError(
+            f"{path}: .exr needs the package OpenEXR (pip install OpenEXR), or save it as .npy "
+            "or .hdr"
+        ) from None
+    try:
+        parts = library.File(str(path)).channels()
+    except (RuntimeError, ValueError, OSError) as error:
+        raise InputError(f"{path}: cannot be read: {one_line(error)}") from error
+    pixels = {name: np.asarray(channel.pixels) for name, channel in parts.items()}
+    for name in ("RGB", "RGBA", "Y"):
+        if name in pixels:
+            return pixels[name] if name == "Y" else pixels[name][..., :3]
+    raise InputError(f"{path}: expected channels R, G, B or Y; received {', '.join(pixels)}")
+
+
+def _png(path: Path) -> np.ndarray:
+    """Linear radiance of an sRGB image; 1 is white."""
+    require_signature(path, (b"\x89PNG\r\n\x1a\n",), "a PNG image")
+    from skimage import io
+
+    try:
+        found = np.asarray(io.imread(path))
+    except (ValueError, OSError, SyntaxError) as error:
+        raise InputError(f"{path}: cannot be read: {one_line(error)}") from error
+    if found.dtype.kind != "u" or found.ndim not in (2, 3):
+        raise InputError(f"{path}: expected 8 or 16 bits a channel; received {found.dtype}")
+    if found.ndim == 3:
+        found = found[..., :3] if found.shape[2] > 2 else found[..., 0]
+    share = found / np.iinfo(found.dtype).max
+    return np.where(share > 0.04045, ((share + 0.055) / 1.055) ** 2.4, share / 12.92)
+
+
+def _radiance_hdr(path: Path) -> Float[np.ndarray, "H W 3"]:
+    """Radiance's RGBE pictures: rows from the top, plain or run-length encoded."""
+    data = path.read_bytes()
+    if not data.startswith(b"#?"):
+        raise InputError(f"{path}: expected a Radiance .hdr image, found {describe(path)}")
+    head, _, rest = data.partition(b"\n\n")
+    size, _, body = rest.partition(b"\n")
+    words = size.split()
+    if b"32-bit_rle_rgbe" not in head or len(words) != 4 or words[::2] != [b"-Y", b"+X"]:
+        raise InputError(
+            f"{path}: expected 32-bit_rle_rgbe with rows from the top (-Y H +X W); received "
+            f"{size[:40].decode('latin1')!r}"
+        )
+    height, width = int(words[1]), int(words[3])
+    code = np.frombuffer(body, np.uint8)
+    if code.size >= 4 and code[0] == code[1] == 2 and 8 <= width < 32768:
+        try:
+            code = _unpacked(code, height, width)
+        except IndexError:
+            code = code[:0]
+    if code.size < 4 * height * width:
+        raise InputError(f"{path}: the file ends before its {width} x {height} pixels do")
+    pixels = code[: 4 * height * width].reshape(height, width, 4).astype(np.float64)
+    scale = np.where(pixels[..., 3:] > 0.0, np.exp2(pixels[..., 3:] - 136.0), 0.0)
+    return (pixels[..., :3] + 0.5 * (pixels[..., 3:] > 0.0)) * scale
+
+
+def _unpacked(code: np.ndarray, height: int, width: int) -> np.ndarray:
+    """Run-length encoded rows, each channel apart."""
+    out = np.empty((height, 4, width), np.uint8)
+    at = 0
+    for row in out:
+        at += 4
+        for channel in row:
+            done = 0
+            while done < width:
+                count = int(code[at])
+                run = count > 128
+                count = count - 128 if run else count
+                values = code[at + 1] if run else code[at + 1 : at + 1 + count]
+                if not count or done + count > width or np.size(values) not in (1, count):
+                    raise IndexError
+                channel[done : done + count] = values
+                at += 2 if run else 1 + count
+                done += count
+    return out.transpose(0, 2, 1).reshape(-1)
