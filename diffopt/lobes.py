@@ -195,11 +195,15 @@ class Lobes(eqx.Module):
         path = existing_file(path)
         try:
             if path.suffix == ".npz":
-                with np.load(path, allow_pickle=False) as content:
+                # Opened here: of an archive that is none, np.load leaves the file open.
+                with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
                     arrays = {name: content[name] for name in _FIELDS}
             else:
                 found = json.loads(path.read_text())["lobes"]
                 arrays = {name: np.asarray(found[name], np.float64) for name in _FIELDS}
+            for name, array in arrays.items():
+                if array.dtype.kind not in "fiu":
+                    raise InputError(f"{name} must be real numbers; found {array.dtype}")
             kept = {n: jnp.asarray(a, jnp.result_type(float)) for n, a in arrays.items()}
             return Lobes(**kept)
         except InputError as error:
