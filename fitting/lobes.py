@@ -10,6 +10,7 @@ those that have not settled, in batches of the next power of two, so that no fun
 for the slowest.
 """
 
+from collections.abc import Callable
 from typing import Any, Literal, get_args
 
 import equinox as eqx
@@ -151,19 +152,39 @@ def fit_nodes(
             )
         begun = (start.alpha.reshape(*start.kappa.shape, -1).mean(-1), start.mu, start.kappa)
         method = "lm"
-    dtype = nodes.values.dtype
+    if settings.rounds == 1 or "lm" not in method:
+        return _whole(nodes, key, begun, count, method, settings)
     keys = jax.random.split(key, nodes.values.shape[0])
-    begun, gain = _fit(nodes, keys, begun, count, method, settings)
+    found, gain = _fit(nodes, keys, begun, count, method, settings)
     gain = np.array(gain)
-    first = settings.coarse_steps if start is None else 0
-    steps = np.full(gain.shape, settings.lm_steps + first if "lm" in method else 0)
-    if "lm" in method:
-        begun = _rounds(nodes, begun, gain, steps, settings)
-    alpha, mu, kappa = begun
-    alpha, error, energy = _finish(nodes, alpha, mu, kappa, settings)
-    fitted = Lobes(alpha, mu, kappa.astype(dtype))
-    settled = jnp.asarray(gain < settings.settled)
-    return LobeFit(fitted, error, energy, jnp.asarray(steps), settled, settings, method)
+    steps = np.full(gain.shape, _steps(method, settings, begun))
+    found = _rounds(nodes, found, gain, steps, settings)
+    return _finish(nodes, found, jnp.asarray(gain), jnp.asarray(steps), method, settings)
+
+
+@eqx.filter_jit
+def _whole(
+    nodes: Nodes, key: Any, start: Any, count: int, method: str, settings: LobeSettings
+) -> LobeFit:
+    """A fit of one round in one compiled program: nothing waits for the host."""
+    keys = jax.random.split(key, nodes.values.shape[0])
+    found, gain = _fit(nodes, keys, start, count, method, settings)
+    steps = jnp.full(gain.shape, _steps(method, settings, start))
+    return _finish(nodes, found, gain, steps, method, settings)
+
+
+def _steps(method: str, settings: LobeSettings, start: Any) -> int:
+    """Least-squares steps of the first round."""
+    if "lm" not in method:
+        return 0
+    return settings.lm_steps + (settings.coarse_steps if start is None else 0)
+
+
+def _batched(one: Callable[[Any], Any], batch: Any, count: int, settings: LobeSettings) -> Any:
+    """A function over a batch, in chunks where it is larger than one."""
+    if count <= settings.chunk:
+        return jax.vmap(one)(batch)
+    return jax.lax.map(one, batch, batch_size=settings.chunk)
 
 
 def _check(nodes: Nodes, settings: LobeSettings) -> None:
@@ -201,8 +222,8 @@ def _fit(
         return _descend(fine, begun, settings, settings.lm_steps + alone * settings.coarse_steps)
 
     coarse = nodes.coarse.scalar() if nodes.coarse is not None and method == "em+lm" else None
-    size = min(settings.chunk, nodes.values.shape[0])
-    return jax.lax.map(one, (nodes.scalar(), coarse, keys, start), batch_size=size)
+    batch = (nodes.scalar(), coarse, keys, start)
+    return _batched(one, batch, nodes.values.shape[0], settings)
 
 
 def _begin(
@@ -270,8 +291,8 @@ def _replaced(batch: Any, rows: np.ndarray, found: Any) -> Any:
 
 @eqx.filter_jit
 def _finish(
-    nodes: Nodes, alpha: Array, mu: Array, kappa: Array, settings: LobeSettings
-) -> tuple[Array, Array, Array]:
+    nodes: Nodes, found: Scalar, gain: Array, steps: Array, method: str, settings: LobeSettings
+) -> LobeFit:
     """Weights of every channel with the energy as asked for, and the errors."""
     signed = settings.signed
 
@@ -294,7 +315,8 @@ def _finish(
         square = (solid[:, None] * missed**2).sum() / (solid[:, None] * values**2).sum()
         return alpha, jnp.sqrt(square), off
 
-    given = (nodes.directions, nodes.solid_angles, nodes.values, alpha, mu, kappa)
-    size = min(settings.chunk, kappa.shape[0])
-    alpha, error, off = jax.lax.map(one, given, batch_size=size)
-    return alpha[..., 0] if nodes.values.shape[-1] == 1 else alpha, error, off
+    given = (nodes.directions, nodes.solid_angles, nodes.values, *found)
+    alpha, error, off = _batched(one, given, gain.shape[0], settings)
+    _, mu, kappa = found
+    lobes = Lobes(alpha[..., 0] if nodes.values.shape[-1] == 1 else alpha, mu, kappa)
+    return LobeFit(lobes, error, off, steps, gain < settings.settled, settings, method)

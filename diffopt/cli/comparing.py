@@ -163,3 +163,80 @@ def materials(
     terminal().print(material_throughput.table(rows))
     if output is not None:
         terminal().print(f"table: {output}")
+
+
+@app.command("lobes")
+def lobes(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(help="Materials, by name or file. [default: Blinn-Phong 4 to 128]"),
+    ] = None,
+    lobes: Annotated[str, typer.Option(help="Numbers of lobes.")] = "1,2,4,8",
+    angle: Annotated[str, typer.Option(help="Angles of view to the normal, degrees.")] = (
+        "0,30,60,80"
+    ),
+    views: Annotated[
+        int | None, typer.Option(help="In place of angles: icosahedral views of a level, 0 to 6.")
+    ] = None,
+    method: Annotated[
+        list[str] | None, typer.Option(help="A method; may be repeated. [default: all]")
+    ] = None,
+    samples: Annotated[int, typer.Option(help="Samples of a slice, for EM on samples.")] = 10_000,
+    repeats: Annotated[int, typer.Option(help="Runs of which the median counts.")] = 7,
+    seed: Annotated[int, typer.Option(help="Of starts and samples.")] = 0,
+    output: Annotated[
+        Path | None, typer.Option("-o", help="Folder for lobes.csv and lobes.png.")
+    ] = None,
+) -> None:
+    """EM, least squares, optimistix and SciPy on the same slices: error, time, success."""
+    import numpy as np
+
+    from diffopt import checks
+    from diffopt.brdf_lobes import icosahedral_views
+    from diffopt.cli.errors import user_input
+    from diffopt.cli.options import floats
+    from diffopt.cli.output import folder
+    from diffopt.cli.progress import stages, terminal
+    from diffopt.errors import InputError
+    from diffopt.fitting import comparison
+    from diffopt.materials import naming
+
+    for each in method or ():
+        checks.choice("--method", each, comparison.METHODS)
+    counts = [int(count) for count in floats(lobes)]
+    if not counts or not all(1 <= count <= 64 for count in counts):
+        raise InputError(f"--lobes must be numbers from 1 to 64, as 1,2,4; received {lobes!r}")
+    degrees = floats(angle)
+    if not degrees or not all(0.0 <= each < 90.0 for each in degrees):
+        raise InputError(f"--angle must be 0 to below 90 degrees, as 0,60; received {angle!r}")
+    if min(samples, repeats) < 1:
+        raise InputError("--samples and --repeats must be at least 1")
+    with user_input():
+        subjects = [
+            naming.named(name) if name in naming.NAMES else naming.load(name)
+            for name in names or ()
+        ]
+        if views is not None:
+            wo = icosahedral_views(views)[0]
+        else:
+            theta = np.deg2rad(np.asarray(degrees))
+            wo = np.stack([np.sin(theta), 0.0 * theta, np.cos(theta)], -1)
+    with contextlib.ExitStack() as stack:
+        staging = None if output is None else stack.enter_context(folder(output))
+        progress = stack.enter_context(stages(1))
+        with progress.stage("every method"), user_input():
+            found = comparison.compare(
+                [subject.material for subject in subjects] or None,
+                counts,
+                wo=wo,
+                methods=method or comparison.METHODS,
+                samples=samples,
+                repeats=repeats,
+                seed=seed,
+            )
+        if staging is not None:
+            found.save_csv(staging / "lobes.csv")
+            found.plot(staging / "lobes.png")
+    terminal().print(found.table())
+    if output is not None:
+        terminal().print(f"table and picture: {output}")

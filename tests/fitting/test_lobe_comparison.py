@@ -1,0 +1,69 @@
+"""The comparison of lobe fits: what its rows say is so, and its files come back."""
+
+import csv
+
+import jax
+import numpy as np
+import pytest
+
+import diffopt as do
+from diffopt.errors import InputError
+from diffopt.fitting import LobeSettings, comparison, rivals
+
+METHODS = ("em-50", "em+lm", "normal-lm", "scipy-trf")
+# Each number of steps is a program of its own: the default ones alone.
+BUDGETS = ((10, 20, 5),)
+
+
+@pytest.fixture(scope="module")
+def found():
+    wo = np.array([[0.5, 0.0, np.sqrt(0.75)], [0.0, 0.0, 1.0]])
+    material = do.BlinnPhong(exponent=32.0)
+    with pytest.MonkeyPatch.context() as patch, jax.enable_x64(False):
+        patch.setattr(comparison, "BUDGETS", BUDGETS)
+        patch.setattr(comparison, "_FINE", LobeSettings(rings=48, sectors=72))
+        return comparison.compare(material, (2,), wo=wo, methods=METHODS, repeats=1, samples=100)
+
+
+def test_solvers_end_at_one_error_below_that_of_em(found):
+    error = {method: found.row(method, 2).error for method in METHODS}
+    # Least squares of one problem from one start, in float32 and float64.
+    assert error["normal-lm"] == pytest.approx(error["scipy-trf"], rel=0.02)
+    assert error["scipy-trf"] < 0.8 * error["em-50"]
+    assert error["em+lm"] < 1.1 * error["scipy-trf"]
+    for row in found.rows:
+        assert 0.0 < row.error <= row.worst < 1.0
+        assert min(row.time_s, row.single_s) > 0.0
+
+
+def test_time_to_a_rivals_error_is_told(found):
+    for rival in ("normal-lm", "scipy-trf"):
+        row = found.row(f"em+lm to {rival}", 2)
+        assert row.error <= 1.05 * found.row(rival, 2).error
+        assert row.ratio == pytest.approx(found.row(rival, 2).time_s / row.time_s)
+        assert found.row(rival, 2).success == 1.0
+
+
+def test_em_gains_likelihood_and_keeps_energy(found):
+    assert found.row("em-50", 2).likelihood > found.row("em+lm", 2).likelihood
+    # EM keeps the integral, least squares does not.
+    assert found.row("em-50", 2).energy < 1e-3 < found.row("em+lm", 2).energy
+
+
+def test_table_and_files(found, tmp_path):
+    text = str(found)
+    assert "scipy-trf" in text
+    assert "2 slices of 1 materials" in text
+    found.save_csv(tmp_path / "lobes.csv")
+    with open(tmp_path / "lobes.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["method"] for row in rows] == [row.method for row in found.rows]
+    assert float(rows[0]["error"]) == found.rows[0].error
+    found.plot(tmp_path / "lobes.png")
+    assert (tmp_path / "lobes.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_unknown_methods_are_refused():
+    with pytest.raises(InputError, match="methods must be some of"):
+        comparison.compare(methods=("simplex",))
+    assert set(rivals.solvers()) < set(comparison.METHODS)
