@@ -4,8 +4,11 @@ Everything is computed from the sum of the two unit vectors, never from 1 + dot:
 degrees the dot form is 4 % wrong in float32, the sum form is exact.
 """
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
+
+from diffopt.kernels.phase import cis_turns
 
 
 def above_horizon(
@@ -92,20 +95,29 @@ def v_cavity(
 def spherical(theta: Float[Array, "..."], phi: Float[Array, "..."]) -> Float[Array, "... 3"]:
     """Unit vectors from the angle to the normal and the azimuth from x, radians."""
     sin = jnp.sin(theta)
-    return jnp.stack(
-        jnp.broadcast_arrays(sin * jnp.cos(phi), sin * jnp.sin(phi), jnp.cos(theta)), -1
-    )
+    return direction(sin * jnp.cos(phi), sin * jnp.sin(phi), jnp.cos(theta))
 
 
 def direction(
     x: Float[Array, "..."], y: Float[Array, "..."], z: Float[Array, "..."]
 ) -> Float[Array, "... 3"]:
-    """Vectors from their components.
+    """Vectors from their components, which broadcast against each other.
 
-    Stacked in front and then transposed: stacked along the last axis, a compiled program
-    writes one number after the other (a fifth of the speed on the CPU).
+    Picked by the place on the last axis, not stacked: what a stack is fused with is computed
+    one number after the other on the CPU (XLA of jaxlib 0.10), up to 30 times as slow as
+    computing all three for every place in vectors and throwing two away.
     """
-    return jnp.moveaxis(jnp.stack([x, y, z]), 0, -1)
+    x, y, z = jnp.broadcast_arrays(x, y, z)
+    place = jax.lax.broadcasted_iota(jnp.int32, (*x.shape, 3), x.ndim)
+    return jnp.where(place == 0, x[..., None], jnp.where(place == 1, y[..., None], z[..., None]))
+
+
+def around(
+    sin: Float[Array, "..."], turns: Float[Array, "..."], cos: Float[Array, "..."]
+) -> Float[Array, "... 3"]:
+    """Unit vectors from the sine and cosine to the normal and the azimuth in turns."""
+    along, across = cis_turns(turns)
+    return direction(sin * along, sin * across, cos)
 
 
 def tangents(normal: Float[Array, "... 3"]) -> tuple[Float[Array, "... 3"], Float[Array, "... 3"]]:

@@ -28,7 +28,8 @@ import numpy as np
 from jax.scipy.special import erf, erfinv
 from jaxtyping import Array, Float
 
-from diffopt.kernels.frames import dot
+from diffopt.kernels import frames
+from diffopt.kernels.phase import cis_turns
 
 Normals = Literal["ggx", "beckmann", "gaussian"]
 Masking = Literal["correlated", "uncorrelated", "v-cavity"]
@@ -163,7 +164,7 @@ def visibility(
     ci, co = wi[..., 2], wo[..., 2]
     if kind == "v-cavity":
         # 2 hz / (o.h) = 4 (ci + co) / |wi + wo|^2.
-        total = dot(wi + wo, wi + wo)
+        total = frames.dot(wi + wo, wi + wo)
         return 0.25 * jnp.minimum(1.0 / (ci * co), 4.0 * (ci + co) / (total * jnp.maximum(ci, co)))
     ai, ao = projected_area(normals, wi, alpha), projected_area(normals, wo, alpha)
     if kind == "uncorrelated":
@@ -178,7 +179,7 @@ def visible_density(
     alpha: Alpha,
 ) -> Float[Array, "*batch"]:
     """Density per steradian of the normals that w sees, D(h) max(w.h, 0) / A(w)."""
-    facing = jnp.maximum(dot(w, h), 0.0)
+    facing = jnp.maximum(frames.dot(w, h), 0.0)
     return density(normals, h, alpha) * facing / projected_area(normals, w, alpha)
 
 
@@ -203,27 +204,29 @@ def sample_visible(
         See the module.
     """
     ax, ay = alpha
-    stretched = jnp.stack([ax * w[..., 0], ay * w[..., 1], w[..., 2]], -1)
-    stretched = stretched / jnp.sqrt((stretched**2).sum(-1, keepdims=True))
+    # In components throughout: a vector in between would be computed anew for each of them.
+    sx, sy, sz = ax * w[..., 0], ay * w[..., 1], w[..., 2]
+    size = jax.lax.rsqrt(sx * sx + sy * sy + sz * sz)
+    sx, sy, sz = sx * size, sy * size, sz * size
     if normals == "ggx":
-        angle = 2.0 * math.pi * u[..., 1]
-        z = 1.0 - u[..., 0] * (1.0 + stretched[..., 2])
-        sin = jnp.sqrt(jnp.maximum((1.0 - z) * (1.0 + z), jnp.finfo(z.dtype).tiny))
-        cap = jnp.stack([sin * jnp.cos(angle), sin * jnp.sin(angle), z], -1) + stretched
-        x, y, z = ax * cap[..., 0], ay * cap[..., 1], cap[..., 2]
+        cap = 1.0 - u[..., 0] * (1.0 + sz)
+        sin = jnp.sqrt(jnp.maximum((1.0 - cap) * (1.0 + cap), jnp.finfo(cap.dtype).tiny))
+        along, side = cis_turns(u[..., 1])
+        x, y, z = ax * (sin * along + sx), ay * (sin * side + sy), cap + sz
     elif normals == "beckmann":
-        along, side = _visible_slopes(u, stretched[..., 2])
-        r2 = stretched[..., 0] ** 2 + stretched[..., 1] ** 2
+        along, side = _visible_slopes(u, sz)
+        r2 = sx * sx + sy * sy
         straight = r2 <= 1e-30
         r = jnp.sqrt(jnp.where(straight, 1.0, r2))
-        cos = jnp.where(straight, 1.0, stretched[..., 0] / r)
-        sin = jnp.where(straight, 0.0, stretched[..., 1] / r)
+        cos = jnp.where(straight, 1.0, sx / r)
+        sin = jnp.where(straight, 0.0, sy / r)
         x, y = -ax * (cos * along - sin * side), -ay * (sin * along + cos * side)
         z = jnp.ones_like(x)
     else:
         raise ValueError(f"visible normals need 'ggx' or 'beckmann'; got {normals!r}")
     z = jnp.maximum(z, 1e-7)
-    return jnp.stack([x, y, z], -1) / jnp.sqrt(x * x + y * y + z * z)[..., None]
+    size = jax.lax.rsqrt(x * x + y * y + z * z)
+    return frames.direction(x * size, y * size, z * size)
 
 
 def _visible_slopes(

@@ -14,6 +14,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from diffopt.kernels import frames
+
 Pair = Float[Array, "*batch 3"]
 Value = Float[Array, "*batch"]
 Corner = tuple[Int[Array, "*batch"], Value]
@@ -75,8 +77,8 @@ def half_difference(theta_h: Value, theta_d: Value, phi_d: Value) -> tuple[Pair,
     x, y = across * jnp.cos(phi_d), across * jnp.sin(phi_d)
     sin, cos = jnp.sin(theta_h), jnp.cos(theta_h)
     return (
-        jnp.stack([cos * x + sin * along, y, cos * along - sin * x], -1),
-        jnp.stack([sin * along - cos * x, -y, cos * along + sin * x], -1),
+        frames.direction(cos * x + sin * along, y, cos * along - sin * x),
+        frames.direction(sin * along - cos * x, -y, cos * along + sin * x),
     )
 
 

@@ -1,9 +1,9 @@
 """Directions distributed as a von Mises-Fisher lobe, for every concentration from 0 on."""
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PRNGKeyArray
 
-from diffopt.kernels import frames
+from diffopt.kernels import frames, uniforms
 from diffopt.kernels.phase import cis_turns
 
 
@@ -49,10 +49,34 @@ def warp(
     kappa
         Concentration, >= 0.
     """
-    t = one_minus_cosine(u[..., 1], kappa)
+    return _warp(u[..., 0], u[..., 1], mu, kappa)
+
+
+def sample(
+    key: PRNGKeyArray, mu: Float[Array, "3"], kappa: Float[Array, ""], count: int
+) -> Float[Array, "{count} 3"]:
+    """Directions of one lobe from a key: `warp` of the numbers of `uniforms.pairs`.
+
+    Parameters
+    ----------
+    key
+        Of `jax.random.key`; the first n directions do not depend on how many are drawn.
+    mu
+        Axis, unit vector.
+    kappa
+        Concentration, >= 0.
+    count
+        How many.
+    """
+    turn, share = (number.astype(kappa.dtype) for number in uniforms.pairs(key, count))
+    return _warp(turn, share, mu[None], kappa[None])
+
+
+def _warp(turn: Array, share: Array, mu: Array, kappa: Array) -> Array:
+    t = one_minus_cosine(share, kappa)
     # The root is kept off zero, where it has no slope.
     sin = jnp.sqrt(jnp.maximum(t * (2.0 - t), float(jnp.finfo(t.dtype).tiny)))
-    cos_turn, sin_turn = cis_turns(u[..., 0])
+    cos_turn, sin_turn = cis_turns(turn)
     a, b, z = sin * cos_turn, sin * sin_turn, 1.0 - t
     first, second = frames.tangents(mu)
     return frames.direction(

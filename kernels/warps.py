@@ -5,6 +5,8 @@ import math
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from diffopt.kernels import frames
+
 Square = Float[Array, "*batch 2"]
 Direction = Float[Array, "*batch 3"]
 
@@ -53,8 +55,7 @@ def gaussian_angle(u: Square, m: Float[Array, "*#batch"]) -> Direction:
     reach = (0.5 * math.pi / m) ** 2
     theta = m * jnp.sqrt(-jnp.log1p(jnp.expm1(-reach) * jnp.maximum(u[..., 0], 1e-12)))
     sin, cos = jnp.sin(theta), jnp.cos(theta)
-    turn = 2.0 * math.pi * u[..., 1]
-    return jnp.stack([sin * jnp.cos(turn), sin * jnp.sin(turn), cos], -1)
+    return frames.around(sin, u[..., 1], cos)
 
 
 def gaussian_angle_density(
@@ -76,6 +77,5 @@ def _around(turn: Array, cos2: Array, sin2: Array) -> Array:
     Roots are kept off zero, where they have no slope.
     """
     tiny = float(jnp.finfo(turn.dtype).tiny)
-    sin, angle = jnp.sqrt(jnp.maximum(sin2, tiny)), 2.0 * math.pi * turn
-    cos = jnp.sqrt(jnp.maximum(cos2, tiny))
-    return jnp.stack([sin * jnp.cos(angle), sin * jnp.sin(angle), cos], -1)
+    sin, cos = (jnp.sqrt(jnp.maximum(square, tiny)) for square in (sin2, cos2))
+    return frames.around(sin, turn, cos)

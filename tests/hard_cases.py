@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.special import gammaln
@@ -28,6 +29,8 @@ from diffopt.kernels import (
     special,
     spectrum,
     spline,
+    uniforms,
+    vmf_sampling,
 )
 
 LD = np.longdouble
@@ -591,6 +594,39 @@ def _directions():
         "grazing retro": (GRAZING, GRAZING),
         "one grazing": (GRAZING, _unit(10, 40.0)),
     }
+    # The pole, the horizon, a full turn less a rounding, many turns.
+    for sin, turns, cos in ((0.0, 0.3, 1.0), (1.0, 0.25, 0.0), (0.6, 1.0 - 2.0**-24, -0.8)):
+        yield Hard(
+            "frames.around",
+            f"turns={turns:.3g}",
+            frames.around,
+            (sin, turns, cos),
+            lambda s, t, c: np.array([s * _turn(t)[0], s * _turn(t)[1], c]),
+        )
+    # Not real-valued in its arguments; the numbers have tests of their own.
+    held = np.stack(uniforms.pairs(jax.random.key(7), 3)).astype(LD)
+    yield Hard(
+        "uniforms.pairs",
+        "scaled",
+        lambda x: tuple(p.astype(x.dtype) * x for p in uniforms.pairs(jax.random.key(7), 3)),
+        (2.0,),
+        lambda x: tuple(row * x for row in held),
+    )
+    up = jnp.asarray([0.0, 0.0, 1.0])
+
+    def around_z(kappa):
+        u, v = held
+        t = -np.log1p(v * np.expm1(-2 * kappa)) / kappa
+        sin, (cos_u, sin_u) = np.sqrt(t * (2 - t)), _turn(u)
+        return np.stack([sin * cos_u, sin * sin_u, 1 - t], -1)
+
+    yield Hard(
+        "vmf_sampling.sample",
+        "kappa=30",
+        lambda k: vmf_sampling.sample(jax.random.key(7), up.astype(k.dtype), k, 3),
+        (30.0,),
+        around_z,
+    )
     for name, (wi, wo) in pairs.items():
         wave = -(wi + wo)
         yield Hard("frames.wave_vector", name, frames.wave_vector, (wi, wo), lambda a, b: -(a + b))

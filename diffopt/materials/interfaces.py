@@ -252,7 +252,7 @@ def refracted(wo: Array, m: Array) -> Array:
     inner = jnp.maximum(1.0 - sin2 / (m * m), 0.0)
     regular = inner > 0.0
     z = jnp.where(regular, jnp.sqrt(jnp.where(regular, inner, 1.0)), 0.0)
-    return jnp.stack([-wo[..., 0] / m, -wo[..., 1] / m, -side * z], -1)
+    return frames.direction(-wo[..., 0] / m, -wo[..., 1] / m, -side * z)
 
 
 def _scale(m: Array, radiance: bool) -> Array:
@@ -261,7 +261,7 @@ def _scale(m: Array, radiance: bool) -> Array:
 
 
 def _flip(w: Array, side: Array) -> Array:
-    return jnp.stack([w[..., 0], w[..., 1], w[..., 2] * side], -1)
+    return frames.direction(w[..., 0], w[..., 1], w[..., 2] * side)
 
 
 def _to_upper_side(eta: Any, wi: Array, wo: Array) -> tuple[Array, Array, Array]:

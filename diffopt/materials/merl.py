@@ -57,8 +57,7 @@ class HalfLobe(eqx.Module):
         gap = self.edges[k] + t * (self.edges[k + 1] - self.edges[k])
         tiny = float(jnp.finfo(gap.dtype).tiny)
         sin = 2.0 * jnp.sqrt(jnp.maximum(gap * (1.0 - gap), tiny))
-        turn = 2.0 * math.pi * u[..., 1]
-        return jnp.stack([sin * jnp.cos(turn), sin * jnp.sin(turn), 1.0 - 2.0 * gap], -1)
+        return frames.around(sin, u[..., 1], 1.0 - 2.0 * gap)
 
     def density(
         self, wi: Float[Array, "*batch 3"], wo: Float[Array, "*batch 3"]

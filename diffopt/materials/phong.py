@@ -147,13 +147,8 @@ class BlinnPhong(Material):
 
 
 def turned(lobe: Array, axis: Array) -> Array:
-    """Directions about z turned so that z becomes the axis (Duff et al., JCGT 2017)."""
-    x, y, z = axis[..., 0], axis[..., 1], axis[..., 2]
-    sign = jnp.where(z >= 0.0, 1.0, -1.0).astype(z.dtype)
-    a = -1.0 / (sign + z)
-    b = x * y * a
-    first = jnp.stack([1.0 + sign * x * x * a, sign * b, -sign * x], -1)
-    second = jnp.stack([b, sign + y * y * a, -y], -1)
+    """Directions about z turned so that z becomes the axis."""
+    first, second = frames.tangents(axis)
     return lobe[..., :1] * first + lobe[..., 1:2] * second + lobe[..., 2:] * axis
 
 
@@ -161,6 +156,4 @@ def _about_half(sin2: Array, turn: Array, wo: Array) -> Array:
     """Viewer mirrored at half vectors with a squared sine and a share of the circle."""
     tiny = float(jnp.finfo(sin2.dtype).tiny)
     sin, cos = jnp.sqrt(jnp.maximum(sin2, tiny)), jnp.sqrt(jnp.maximum(1.0 - sin2, tiny))
-    angle = 2.0 * math.pi * turn
-    half = jnp.stack([sin * jnp.cos(angle), sin * jnp.sin(angle), cos], -1)
-    return frames.reflect(wo, half)
+    return frames.reflect(wo, frames.around(sin, turn, cos))

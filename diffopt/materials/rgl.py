@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffopt.errors import InputError
-from diffopt.kernels import tabulated
+from diffopt.kernels import frames, tabulated
 from diffopt.kernels.tabulated import Corner
 from diffopt.materials.base import times
 from diffopt.materials.merl import HalfSampled
@@ -94,9 +94,7 @@ class Rgl(HalfSampled):
         theta, phi = 0.5 * math.pi * x * x, (2.0 * y - 1.0) * math.pi
         if self._isotropic:
             phi = phi + tabulated.angle(wo[..., 1], wo[..., 0])
-        sin = jnp.sin(theta)
-        h = jnp.stack([sin * jnp.cos(phi), sin * jnp.sin(phi), jnp.cos(theta)], -1)
-        return h * sign
+        return frames.spherical(theta, phi) * sign
 
     def half_density(self, wi: Array, wo: Array) -> Array:
         """See `HalfSampled`."""
@@ -125,7 +123,7 @@ class Rgl(HalfSampled):
         if self.folds < 2:
             return jnp.ones_like(w)
         x, y = (jnp.where(w[..., k] < 0.0, 1.0, -1.0).astype(w.dtype) for k in (0, 1))
-        return jnp.stack([x if self.folds == 4 else y, y, jnp.ones_like(x)], -1)
+        return frames.direction(x if self.folds == 4 else y, y, jnp.ones_like(x))
 
     def _slices(self, w: Array) -> tuple[tuple[Array, Array], list[Corner], tuple[Array, Array]]:
         """Places of w among the slices, those about it, and w in the unit square."""
