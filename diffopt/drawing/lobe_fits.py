@@ -225,8 +225,7 @@ def _window(lobes: Lobes, side: float) -> tuple[float, float, float]:
     reach = 5.0 / np.sqrt(np.maximum(kappa[counts], 1.0))[:, None]
     low, high = (mu[counts, :2] - reach).min(0), (mu[counts, :2] + reach).max(0)
     half = 0.5 * float((high - low).max())
-    x, y = 0.5 * (low + high)
-    return (float(x), float(y), half) if half < 0.4 else (0.0, 0.0, 1.03)
+    return (*(0.5 * (low + high)).tolist(), half) if half < 0.4 else (0.0, 0.0, 1.03)
 
 
 def _grid(height: int, width: int) -> Float[np.ndarray, "N 3"]:
