@@ -101,8 +101,8 @@ def _nodes(settings: LobeSettings) -> Nodes:
         values = np.stack([_blinn(wi, *problem) for wi, problem in pairs])
         return Nodes(directions, solid_angles, jnp.asarray(values[..., None], "float32"), coarse)
 
-    fine, coarse = grids
-    return known(*fine, known(*coarse))
+    (fine, solid), coarse = grids
+    return known(fine, solid, known(*coarse))
 
 
 def _judge_slices(value: LobeFit) -> tuple[float, str]:
@@ -119,7 +119,8 @@ def _judge_slices(value: LobeFit) -> tuple[float, str]:
 def _slices_case(
     named: dict[str, Any], lobes: int, method: Method = "em+lm", **settings: Any
 ) -> Case:
-    chosen = LobeSettings(**({"sharpest": _RESOLVED} | settings))
+    settings.setdefault("sharpest", _RESOLVED)
+    chosen = LobeSettings(**settings)
 
     def build():
         nodes = _nodes(chosen)
