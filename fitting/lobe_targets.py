@@ -6,6 +6,7 @@ wide ones are resolved by the same number of nodes.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, Literal
 
 import equinox as eqx
@@ -125,30 +126,31 @@ def slices(material: Material, wo: Float[Array, "B 3"], settings: LobeSettings) 
 def _slices(material: Material, wo: Array, settings: LobeSettings) -> Nodes:
     points, share = unit_square(_SCOUTS, wo.dtype, material.choices)
 
-    def one(wo: Array) -> tuple[tuple, tuple]:
+    def one(wo: Array) -> tuple[tuple, tuple, tuple]:
         there = jnp.broadcast_to(wo, points.shape)
         scouts = material.scatter(points, there)
-        weight = share * scouts.weight.reshape(share.size, -1).mean(-1)
+        weight = scouts.weight.reshape(share.size, -1).mean(-1)
+        # A throughput times its density is the value: its square is what the error weighs.
+        square = share * weight * (weight * scouts.pdf)
 
         def on(directions: Array, solid: Array) -> tuple[Array, Array, Array]:
             values = material._reflected(directions, jnp.broadcast_to(wo, directions.shape))
             values = values.reshape(*directions.shape[:1], -1) * jnp.abs(directions[:, 2:])
             return directions, solid, values
 
-        fine, coarse = _grids(scouts.wi, weight, settings)
-        return on(*fine), on(*coarse)
+        fine, coarse = _grids(scouts.wi, square, settings)
+        return on(*fine), on(*coarse), on(*_other_grid(scouts.wi, square, settings))
 
     size = min(settings.chunk, wo.shape[0])
-    fine, coarse = jax.lax.map(one, wo, batch_size=size)
-    return Nodes(fine[0], fine[1], fine[2], Nodes(coarse[0], coarse[1], coarse[2]))
+    fine, coarse, other = (Nodes(*part) for part in jax.lax.map(one, wo, batch_size=size))
+    return Nodes(fine.directions, fine.solid_angles, fine.values, coarse, other)
 
 
 def _grids(
     directions: Array, weights: Array, settings: LobeSettings
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """Nodes for something of which weighted directions are known, and a quarter as many."""
-    _, mu, kappa = mixture.moments(directions, weights, settings.sharpest)
-    core = jnp.minimum(_REACH * jax.lax.rsqrt(jnp.maximum(kappa, 1.0)), 1.0)
+    mu, core = _centre(directions, weights, settings)
     rings, sectors = settings.rings, settings.sectors
     return (
         quadrature.polar_grid(mu, rings, sectors, core),
@@ -156,18 +158,35 @@ def _grids(
     )
 
 
+def _other_grid(directions: Array, weights: Array, settings: LobeSettings) -> tuple[Array, Array]:
+    """Nodes that the fit does not see, to measure its error on: more than twice as many."""
+    mu, core = _centre(directions, weights, settings)
+    rings, sectors = 3 * settings.rings // 2 + 1, 3 * settings.sectors // 2 + 1
+    return quadrature.polar_grid(mu, rings, sectors, core)
+
+
+def _centre(directions: Array, weights: Array, settings: LobeSettings) -> tuple[Array, Array]:
+    _, mu, kappa = mixture.moments(directions, weights, settings.sharpest)
+    return mu, jnp.minimum(_REACH * jax.lax.rsqrt(jnp.maximum(kappa, 1.0)), 1.0)
+
+
 def _function_nodes(target: Callable, settings: LobeSettings) -> Nodes:
     up = jnp.asarray([0.0, 0.0, 1.0])
     start = quadrature.polar_grid(up, *_SEARCH)
     # Twice: the first grid is too coarse to say how sharp a sharp function is.
-    found, _ = _grids(*_weighted(target, *start), settings)
-    fine, few = _grids(*_weighted(target, *found), settings)
-    coarse = Nodes(few[0][None], few[1][None], _evaluated(target, few[0])[None])
-    return Nodes(fine[0][None], fine[1][None], _evaluated(target, fine[0])[None], coarse)
+    found, _ = _grids(*_squared(target, *start), settings)
+    known = _squared(target, *found)
+    fine, few = _grids(*known, settings)
+
+    def alone(grid: tuple[Array, Array]) -> Nodes:
+        return Nodes(grid[0][None], grid[1][None], _evaluated(target, grid[0])[None])
+
+    nodes, other = alone(fine), alone(_other_grid(*known, settings))
+    return Nodes(nodes.directions, nodes.solid_angles, nodes.values, alone(few), other)
 
 
-def _weighted(target: Callable, directions: Array, solid: Array) -> tuple[Array, Array]:
-    return directions, solid * jnp.maximum(_evaluated(target, directions).mean(-1), 0.0)
+def _squared(target: Callable, directions: Array, solid: Array) -> tuple[Array, Array]:
+    return directions, solid * _evaluated(target, directions).mean(-1) ** 2
 
 
 def _evaluated(target: Callable, directions: Array) -> Array:
@@ -215,9 +234,28 @@ def fit_table(
             f"received {directions.shape}, {values.shape}, {solid_angles.shape}"
         )
     no_negative("solid_angles", solid_angles)
+    settings = _resolved(values.reshape(count, -1), solid_angles, settings or LobeSettings())
     nodes = Nodes(directions[None], solid_angles[None], values.reshape(count, -1)[None])
     fit = _counted(nodes, lobes, tolerance, method=method, settings=settings, key=key)
     return _without_batch(fit, ())
+
+
+def _resolved(values: Array, solid_angles: Array, settings: LobeSettings) -> LobeSettings:
+    """Settings with lobes no sharper than the cells that hold the function's square.
+
+    A lobe of concentration 2 pi over a cell has an integral of its peak times the cell; of a
+    sharper one the nodes do not know the integral. To a power of two, for the sake of what
+    is compiled.
+    """
+    known, cells = checks.concrete(values), checks.concrete(solid_angles)
+    if known is None or cells is None:
+        return settings
+    square = cells * (known.astype(np.float64) ** 2).sum(-1)
+    if not (np.isfinite(square.sum()) and square.sum() > 0.0):
+        return settings
+    cell = (square * cells).sum() / square.sum()
+    cap = 2.0 ** np.round(np.log2(2.0 * np.pi / cell))
+    return replace(settings, sharpest=float(np.clip(cap, 1.0, settings.sharpest)))
 
 
 def fit_environment(
