@@ -40,7 +40,7 @@ class LobeSettings:
     signed
         Let weights be negative: lower error, but no longer a mixture that can be sampled.
     sharpest
-        Largest concentration.
+        Largest concentration. Each lobe is also kept to what the nodes about it resolve.
     chunk
         Functions fitted at once; memory grows with it, the result does not change.
     """

@@ -6,7 +6,6 @@ wide ones are resolved by the same number of nodes.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, Literal
 
 import equinox as eqx
@@ -234,28 +233,9 @@ def fit_table(
             f"received {directions.shape}, {values.shape}, {solid_angles.shape}"
         )
     no_negative("solid_angles", solid_angles)
-    settings = _resolved(values.reshape(count, -1), solid_angles, settings or LobeSettings())
     nodes = Nodes(directions[None], solid_angles[None], values.reshape(count, -1)[None])
     fit = _counted(nodes, lobes, tolerance, method=method, settings=settings, key=key)
     return _without_batch(fit, ())
-
-
-def _resolved(values: Array, solid_angles: Array, settings: LobeSettings) -> LobeSettings:
-    """Settings with lobes no sharper than the cells that hold the function's square.
-
-    A lobe of concentration 2 pi over a cell has an integral of its peak times the cell; of a
-    sharper one the nodes do not know the integral. To a power of two, for the sake of what
-    is compiled.
-    """
-    known, cells = checks.concrete(values), checks.concrete(solid_angles)
-    if known is None or cells is None:
-        return settings
-    square = cells * (known.astype(np.float64) ** 2).sum(-1)
-    if not (np.isfinite(square.sum()) and square.sum() > 0.0):
-        return settings
-    cell = (square * cells).sum() / square.sum()
-    cap = 2.0 ** np.round(np.log2(2.0 * np.pi / cell))
-    return replace(settings, sharpest=float(np.clip(cap, 1.0, settings.sharpest)))
 
 
 def fit_environment(

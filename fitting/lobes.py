@@ -24,6 +24,7 @@ from diffopt.brdf_lobes import BRDFLobes
 from diffopt.errors import InputError
 from diffopt.fitting.lobe_settings import LobeSettings
 from diffopt.kernels import lobe_squares, mixture, vmf
+from diffopt.kernels.phase import TWO_PI
 from diffopt.lobes import Lobes
 
 # Directions [N, 3], solid angles [N] and values [N] of one function; or alpha, mu, kappa.
@@ -39,9 +40,11 @@ class LobeFit(eqx.Module):
     lobes
         The fitted functions.
     error
-        Relative L2 error over the sphere, on the nodes of the fit, for each function.
+        Relative L2 error over the sphere, for each function: on nodes that the fit did not
+        see for materials and functions, on the given ones for tables.
     energy_error
-        Integral of the lobes over that of the function, minus 1, before it was restored.
+        |integral of the lobes over that of the function - 1| before it was restored, the
+        largest over the channels.
     steps
         Levenberg-Marquardt steps, those on coarse nodes included.
     settled
@@ -67,9 +70,8 @@ class LobeFit(eqx.Module):
         many = f"{error.size} functions, " if np.ndim(self.error) else ""
         spread = f" ({error.min():.2g} to {error.max():.2g})" if np.ndim(self.error) else ""
         rest = int((~np.atleast_1d(self.settled)).sum())
-        ended = (
-            "settled" if not rest else f"{rest} not settled after {int(np.max(self.steps))} steps"
-        )
+        ended = "settled" if not rest else f"{rest} still improving"
+        ended += f" after {int(np.max(self.steps))} steps"
         return (
             f"{many}{self.lobes.count} lobes by {self.method}: relative error "
             f"{error.mean():.3g}{spread}, energy off by "
@@ -91,12 +93,15 @@ class Nodes(eqx.Module):
         fitted to their mean.
     coarse
         The same functions on fewer nodes, for the first steps; None for none.
+    other
+        The same functions on nodes that the fit does not see, for its error; None for none.
     """
 
     directions: Float[Array, "B N 3"]
     solid_angles: Float[Array, "B N"]
     values: Float[Array, "B N C"]
     coarse: "Nodes | None" = None
+    other: "Nodes | None" = None
 
     def scalar(self) -> Scalar:
         """Directions, solid angles and the mean over the channels."""
@@ -126,7 +131,8 @@ def fit_nodes(
     settings
         `LobeSettings`.
     key
-        For the scattered start; ``jax.random.key(0)`` if left out.
+        For the scattered start; ``jax.random.key(0)`` if left out. All functions draw the
+        same numbers, so that none depends on what it is fitted beside.
     start
         Lobes [B, K] to start from, in place of EM: their order is kept.
 
@@ -154,8 +160,7 @@ def fit_nodes(
         method = "lm"
     if settings.rounds == 1 or "lm" not in method:
         return _whole(nodes, key, begun, count, method, settings)
-    keys = jax.random.split(key, nodes.values.shape[0])
-    found, gain = _fit(nodes, keys, begun, count, method, settings)
+    found, gain = _fit(nodes, key, begun, count, method, settings)
     gain = np.array(gain)
     steps = np.full(gain.shape, _steps(method, settings, begun))
     found = _rounds(nodes, found, gain, steps, settings)
@@ -167,8 +172,7 @@ def _whole(
     nodes: Nodes, key: Any, start: Any, count: int, method: str, settings: LobeSettings
 ) -> LobeFit:
     """A fit of one round in one compiled program: nothing waits for the host."""
-    keys = jax.random.split(key, nodes.values.shape[0])
-    found, gain = _fit(nodes, keys, start, count, method, settings)
+    found, gain = _fit(nodes, key, start, count, method, settings)
     steps = jnp.full(gain.shape, _steps(method, settings, start))
     return _finish(nodes, found, gain, steps, method, settings)
 
@@ -204,12 +208,12 @@ def _check(nodes: Nodes, settings: LobeSettings) -> None:
 
 @eqx.filter_jit
 def _fit(
-    nodes: Nodes, keys: Any, start: Any, count: int, method: str, settings: LobeSettings
+    nodes: Nodes, key: Any, start: Any, count: int, method: str, settings: LobeSettings
 ) -> tuple[tuple[Array, Array, Array], Array]:
     """Lobes of every function, and the share of the squared error that the round took away."""
 
     def one(given: tuple) -> tuple[tuple[Array, Array, Array], Array]:
-        fine, coarse, key, begun = given
+        fine, coarse, begun = given
         first = fine if coarse is None else coarse
         if begun is None:
             begun = _begin(first, key, count, method, settings)
@@ -222,7 +226,7 @@ def _fit(
         return _descend(fine, begun, settings, settings.lm_steps + alone * settings.coarse_steps)
 
     coarse = nodes.coarse.scalar() if nodes.coarse is not None and method == "em+lm" else None
-    batch = (nodes.scalar(), coarse, keys, start)
+    batch = (nodes.scalar(), coarse, start)
     return _batched(one, batch, nodes.values.shape[0], settings)
 
 
@@ -231,17 +235,20 @@ def _begin(
 ) -> tuple[Array, Array, Array]:
     directions, solid, values = given
     weights = solid * jnp.maximum(values, 0.0)
+    # No sharper than the cells that hold the weight can show.
+    cell = (weights * solid).sum() / jnp.maximum(weights.sum(), 1e-30)
+    sharpest = TWO_PI / jnp.maximum(cell, TWO_PI / settings.sharpest)
     if count == 1:
         # Of one lobe EM's first step is its last.
-        total, mu, kappa = mixture.moments(directions, weights, settings.sharpest)
+        total, mu, kappa = mixture.moments(directions, weights, sharpest)
         return total[None], mu[None], jnp.maximum(kappa, mixture.FLATTEST)[None]
     if settings.start == "scattered":
-        begun = mixture.scattered_start(key, directions, weights, count, settings.sharpest)
+        begun = mixture.scattered_start(key, directions, weights, count, sharpest)
     else:
-        begun = mixture.split_start(directions, weights, count, settings.sharpest)
+        begun = mixture.split_start(directions, weights, count, sharpest)
     if method != "lm":
         begun, _ = mixture.expectation_maximisation(
-            directions, weights, begun, settings.em_steps, settings.sharpest
+            directions, weights, begun, settings.em_steps, sharpest
         )
     return weights.sum() * jnp.exp(begun.log_share), begun.mu, begun.kappa
 
@@ -251,11 +258,12 @@ def _descend(
 ) -> tuple[tuple[Array, Array, Array], Array]:
     signed = settings.signed
     given, norm = lobe_squares.problem(*function)
-    at, base = lobe_squares.parameters(*begun, norm, signed=signed)
+    alpha, mu, kappa = begun
+    sharpest = lobe_squares.resolved(mu, function[0], function[1], settings.sharpest)
+    kappa = jnp.minimum(kappa, sharpest)
+    at, base = lobe_squares.parameters(alpha, mu, kappa, norm, signed=signed)
     start = lobe_squares.begin(at, base, given, signed=signed)
-    state = lobe_squares.levenberg_marquardt(
-        start, base, given, steps, settings.sharpest, signed=signed
-    )
+    state = lobe_squares.levenberg_marquardt(start, base, given, steps, sharpest, signed=signed)
     before = jnp.maximum(start.system.cost, 1e-30)
     gain = (start.system.cost - state.system.cost) / before
     return lobe_squares.lobes(state.at, base, norm, signed=signed), gain
@@ -297,25 +305,26 @@ def _finish(
     signed = settings.signed
 
     def one(given: tuple) -> tuple[Array, Array, Array]:
-        directions, solid, values, alpha, mu, kappa = given
-        channels = values.shape[-1]
-        if channels > 1:
+        (directions, solid, values), other, (alpha, mu, kappa) = given
+        if values.shape[-1] > 1:
             alpha = lobe_squares.best_weights(values, solid, directions, mu, kappa, signed=signed)
         else:
             alpha = alpha[:, None]
         wanted = (solid[:, None] * values).sum(0)
-        whole = alpha.sum(0)
-        some = (whole != 0.0) & (wanted != 0.0)
-        ratio = jnp.where(some, wanted / jnp.where(some, whole, 1.0), 1.0)
-        off = jnp.abs(1.0 / ratio - 1.0).max()
+        some = wanted != 0.0
+        off = jnp.where(some, alpha.sum(0) / jnp.where(some, wanted, 1.0) - 1.0, 0.0)
         if settings.energy == "restored":
-            alpha = alpha * ratio[None]
+            alpha = lobe_squares.restored(alpha, wanted, mu, kappa, signed=signed)
+        directions, solid, values = other
         density = vmf.pdf(directions[None], mu[:, None], kappa[:, None])
         missed = jnp.tensordot(density, alpha, ((0,), (0,)), precision="highest") - values
         square = (solid[:, None] * missed**2).sum() / (solid[:, None] * values**2).sum()
-        return alpha, jnp.sqrt(square), off
+        return alpha, jnp.sqrt(square), jnp.abs(off).max()
 
-    given = (nodes.directions, nodes.solid_angles, nodes.values, *found)
+    def parts(nodes: Nodes) -> tuple[Array, Array, Array]:
+        return nodes.directions, nodes.solid_angles, nodes.values
+
+    given = (parts(nodes), parts(nodes.other or nodes), found)
     alpha, error, off = _batched(one, given, gain.shape[0], settings)
     _, mu, kappa = found
     lobes = Lobes(alpha[..., 0] if nodes.values.shape[-1] == 1 else alpha, mu, kappa)

@@ -19,8 +19,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from diffopt.kernels import frames, vmf
+from diffopt.kernels import frames, vmf, vmf_pairs
 from diffopt.kernels.mixture import FLATTEST
+from diffopt.kernels.phase import TWO_PI
+
+# One for all lobes, or one for each.
+Ends = float | Float[Array, "#K"]
 
 
 class Parameters(NamedTuple):
@@ -185,6 +189,23 @@ def damped_step(
     return jnp.clip(step[:, 0], -longest, longest)
 
 
+def resolved(
+    mu: Float[Array, "K 3"],
+    directions: Float[Array, "N 3"],
+    solid_angles: Float[Array, " N"],
+    sharpest: float,
+) -> Float[Array, " K"]:
+    """Largest concentrations of lobes that nodes can see, at most `sharpest`.
+
+    2 pi over the solid angle of the node nearest to each axis, so that the solid angle of the
+    lobe, 2 pi / kappa, is that of the cell. A sharper lobe hides between nodes, at no cost to
+    the residual and at any to the function.
+    """
+    nearest = jnp.argmin(vmf.complement(directions[None], mu[:, None]), -1)
+    cell = jnp.maximum(solid_angles[nearest], TWO_PI / sharpest)
+    return TWO_PI / cell
+
+
 class Progress(NamedTuple):
     """State of `levenberg_marquardt`, to go on from.
 
@@ -207,19 +228,25 @@ def begin(at: Parameters, base: Base, given: Problem, *, signed: bool) -> Progre
     return Progress(at, system, jnp.full_like(system.cost, 1e-2))
 
 
-def moved(at: Parameters, step: Float[Array, " P"], sharpest: float, *, signed: bool) -> Parameters:
+def moved(at: Parameters, step: Float[Array, " P"], sharpest: Ends, *, signed: bool) -> Parameters:
     """Parameters after a step, kept in the range of concentrations (and of logs of weights)."""
     weight, log_kappa, first, second = step.reshape(4, -1)
     weight = at.weight + weight
     return Parameters(
         weight if signed else jnp.clip(weight, -30.0, 10.0),
-        jnp.clip(at.log_kappa + log_kappa, math.log(FLATTEST), math.log(sharpest)),
+        jnp.clip(at.log_kappa + log_kappa, math.log(FLATTEST), jnp.log(sharpest)),
         at.offset + jnp.stack([first, second]),
     )
 
 
 def levenberg_marquardt(
-    state: Progress, base: Base, given: Problem, steps: int, sharpest: float, *, signed: bool
+    state: Progress,
+    base: Base,
+    given: Problem,
+    steps: int,
+    sharpest: Ends,
+    *,
+    signed: bool,
 ) -> Progress:
     """A fixed number of Levenberg-Marquardt steps; the cost never rises.
 
@@ -237,7 +264,7 @@ def levenberg_marquardt(
         How many steps; fixed, since under `jax.vmap` a loop with a condition runs to its
         slowest problem.
     sharpest
-        Largest concentration.
+        Largest concentration of each lobe, see `resolved`.
     signed
         Whether weights may be negative.
     """
@@ -292,3 +319,36 @@ def best_weights(
 
         found = jax.lax.fori_loop(0, 30, sweep, jnp.maximum(found, 0.0))
     return found / size[:, None]
+
+
+def restored(
+    alpha: Float[Array, "K C"],
+    whole: Float[Array, " C"],
+    mu: Float[Array, "K 3"],
+    kappa: Float[Array, " K"],
+    *,
+    signed: bool,
+) -> Float[Array, "K C"]:
+    """Integrals of lobes changed to add up to a whole, with the least change of the function.
+
+    The change of least L2 norm is ``G^-1 1`` times what is missing over ``1 . G^-1 1``, with G
+    the inner products of the lobes: wide lobes give and take, peaks stay. Where a weight
+    would fall below 0 and may not, all are scaled by one factor instead.
+    """
+    gram = jnp.exp(vmf_pairs.log_inner(mu[:, None], kappa[:, None], mu[None], kappa[None]))
+    size = jnp.sqrt(jnp.diagonal(gram))
+    ridge = (1e-5 if gram.dtype == jnp.float32 else 1e-12) * jnp.eye(
+        size.shape[0], dtype=gram.dtype
+    )
+    share = jax.scipy.linalg.solve(
+        gram / (size[:, None] * size[None]) + ridge, 1.0 / size, assume_a="pos"
+    )
+    share = share / size
+    moved = alpha + share[:, None] * ((whole - alpha.sum(0)) / share.sum())[None]
+    # Once more: the solve is only as good as the lobes are unlike each other.
+    moved = moved + share[:, None] * ((whole - moved.sum(0)) / share.sum())[None]
+    total = alpha.sum(0)
+    some = (total != 0.0) & (whole != 0.0)
+    scaled = alpha * jnp.where(some, whole / jnp.where(some, total, 1.0), 1.0)[None]
+    fits = jnp.isfinite(moved).all(0) & (signed | (moved >= 0.0).all(0))
+    return jnp.where(fits[None], moved, scaled)

@@ -23,6 +23,7 @@ from diffopt.kernels.langevin import inverse_langevin
 _DEAD = 1e-7
 _NO_SHARE = -1e4
 FLATTEST = 1e-3
+Number = float | Float[Array, ""]
 
 
 class Mixture(NamedTuple):
@@ -67,7 +68,7 @@ def mean_direction(
 
 
 def moments(
-    directions: Float[Array, "N 3"], weights: Float[Array, " N"], sharpest: float
+    directions: Float[Array, "N 3"], weights: Float[Array, " N"], sharpest: Number
 ) -> tuple[Float[Array, ""], Float[Array, " 3"], Float[Array, ""]]:
     """The likeliest single lobe: ``(alpha, mu, kappa)`` in closed form.
 
@@ -95,7 +96,10 @@ def _distances(s: Float[Array, "3 N"], mu: Float[Array, "K 3"]) -> Float[Array, 
 
 
 def _em_step(
-    s1: Float[Array, "4 N"], weights: Float[Array, " N"], mixture: Mixture, sharpest: float
+    s1: Float[Array, "4 N"],
+    weights: Float[Array, " N"],
+    mixture: Mixture,
+    sharpest: Number,
 ) -> tuple[Mixture, Float[Array, ""]]:
     """One step on rows 1, x, y, z; the next mixture and the mean log likelihood of this one."""
     log_share, mu, kappa = mixture
@@ -140,7 +144,7 @@ def expectation_maximisation(
     weights: Float[Array, " N"],
     start: Mixture,
     steps: int,
-    sharpest: float,
+    sharpest: Number,
 ) -> tuple[Mixture, Float[Array, " steps"]]:
     """A fixed number of EM steps for a mixture, in the log domain.
 
@@ -187,7 +191,7 @@ def scattered_start(
     directions: Float[Array, "N 3"],
     weights: Float[Array, " N"],
     lobes: int,
-    sharpest: float,
+    sharpest: Number,
 ) -> Mixture:
     """Equal lobes on directions drawn far from each other (Arthur and Vassilvitskii 2007).
 
@@ -213,7 +217,10 @@ def scattered_start(
 
 
 def split_start(
-    directions: Float[Array, "N 3"], weights: Float[Array, " N"], lobes: int, sharpest: float
+    directions: Float[Array, "N 3"],
+    weights: Float[Array, " N"],
+    lobes: int,
+    sharpest: Number,
 ) -> Mixture:
     """Equal lobes side by side along the widest direction of the whole: no key, no chance.
 

@@ -5,6 +5,7 @@ of logarithms, which 80 bits afford, above it.
 """
 
 from dataclasses import replace
+from functools import partial
 from math import factorial
 
 import jax
@@ -947,6 +948,26 @@ def _steps():
             cost, damping = now, damping * LD(0.2)
         return *at, cost, damping
 
+    # A coarse node under one lobe, a fine one under the other, and a cap in between.
+    yield Hard(
+        "lobe_squares.resolved",
+        "cells",
+        lambda mu, s, solid: lobe_squares.resolved(mu, s, solid, 50.0),
+        (np.eye(3)[:2], np.eye(3), np.array([0.5, 1e-3, 1.0])),
+        lambda mu, s, solid: np.array([2 * PI / solid[0], LD(50)]),
+        smooth=False,  # the gradient goes to the nearest node alone, and the cap has none
+    )
+    # Of one lobe; and of a faint one that would have to be negative: one factor for both.
+    for label, alpha, whole in (("one", [2.0], 3.0), ("faint", [1.0, 1e-3], 0.3)):
+        count = len(alpha)
+        yield Hard(
+            "lobe_squares.restored",
+            label,
+            partial(lobe_squares.restored, signed=False),
+            (np.array(alpha)[:, None], np.array([whole]), np.eye(3)[:count], np.full(count, 9.0)),
+            lambda a, whole, mu, k: a * (whole / a.sum(0)),
+            gradient_ulps=1e4,
+        )
     yield Hard(
         "lobe_squares.levenberg_marquardt",
         "two steps",

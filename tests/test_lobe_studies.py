@@ -122,14 +122,13 @@ def test_expectation_maximisation_stays_above_least_squares():
     assert result.cheapest(0.06) == after
 
 
-def test_coarse_nodes_miss_what_lies_between_them():
+def test_more_nodes_are_closer_and_say_so():
     result = diffopt.study("lobes.quadrature").run(quick=True, repeats=1)
     coarse, fine = (result.where(rings=n).rows[0] for n in (8, 32))
     assert fine.error < 0.05 < 0.1 < coarse.error
-    own = [float(row.note.rpartition(" ")[2]) for row in (coarse, fine)]
-    # Fine nodes say what the error is, coarse ones do not.
-    assert fine.error == pytest.approx(own[1], rel=0.05)
-    assert own[0] < 0.9 * coarse.error
+    own = float(fine.note.rpartition(" ")[2])
+    # Lobes are no sharper than the nodes resolve: what these say of the error is so.
+    assert fine.error == pytest.approx(own, rel=0.05)
 
 
 def test_samples(tmp_path, capsys, monkeypatch):

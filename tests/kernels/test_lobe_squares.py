@@ -10,7 +10,7 @@ from jax.flatten_util import ravel_pytree
 from scipy.optimize import nnls
 from scipy.special import sph_harm_y
 
-from diffopt.kernels import lobe_squares, quadrature, vmf
+from diffopt.kernels import lobe_squares, quadrature, vmf, vmf_pairs
 from diffopt.kernels.lobe_squares import Parameters
 
 EPS = {"float32": 2.0**-23, "float64": 2.0**-52}
@@ -232,3 +232,21 @@ def test_grid_without_a_core_is_plain():
     """Rings by x = sin(theta / 2) itself: half the nodes within 60 degrees."""
     s, _ = nodes("float32")
     assert int((s[:, 2] > 0.5).sum()) == 12 * 32
+
+
+def test_energy_is_restored_with_the_least_change(rng):
+    """The sum is met, and no other change that meets it is smaller: a stationary point."""
+    count = 5
+    mu = rng.normal(size=(count, 3))
+    mu /= np.linalg.norm(mu, axis=1, keepdims=True)
+    kappa = 10.0 ** rng.uniform(0.0, 2.0, count)
+    alpha = rng.uniform(1.0, 2.0, (count, 2))
+    whole = np.array([1.05, 0.9]) * alpha.sum(0)
+    alpha, whole, mu, kappa = map(jnp.asarray, (alpha, whole, mu, kappa))
+    found = np.asarray(lobe_squares.restored(alpha, whole, mu, kappa, signed=True))
+    np.testing.assert_allclose(found.sum(0), whole, rtol=1e-12)
+    pairs = vmf_pairs.log_inner(mu[:, None], kappa[:, None], mu[None], kappa[None])
+    gram = np.exp(np.asarray(pairs))
+    # Stationary: the gradient of the change's norm is the same for every lobe.
+    slope = gram @ (found - np.asarray(alpha))
+    np.testing.assert_allclose(slope, slope.mean(0, keepdims=True).repeat(count, 0), rtol=1e-6)
