@@ -8,6 +8,8 @@ Inverse problems solved with optimistix.
 `lobes`             functions on the sphere to von Mises-Fisher lobes, by `lobe_settings`
 `lobe_targets`      what they are fitted to; `lobe_samples`: samples
 `brdf`              whole BRDFs, with lobes that belong together
+`comparison`        EM, least squares and `rivals` on the same slices; `lobe_table`: rows
+`lobe_studies`      what accuracy costs for fits of lobes; `sample_studies`: for samples
 `solvers`           Levenberg-Marquardt on normal equations, for optimistix
 ==================  ==========================================================
 """
@@ -20,6 +22,7 @@ if __name__ != "diffopt.fitting":
     )
 
 from diffopt.fitting.brdf import fit_brdf as fit_brdf
+from diffopt.fitting.comparison import compare as compare
 from diffopt.fitting.heightfield import HeightfieldFit as HeightfieldFit
 from diffopt.fitting.heightfield import fit_heightfield as fit_heightfield
 from diffopt.fitting.heightfield import grating_brdf as grating_brdf

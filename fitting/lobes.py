@@ -11,6 +11,7 @@ for the slowest.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Literal, get_args
 
 import equinox as eqx
@@ -29,6 +30,8 @@ from diffopt.lobes import Lobes
 
 # Directions [N, 3], solid angles [N] and values [N] of one function; or alpha, mu, kappa.
 Scalar = tuple[Array, Array, Array]
+# equinox.filter_jit would take half a millisecond of each call to tell these from arrays.
+_STATIC = ("count", "method", "settings")
 Method = Literal["em+lm", "lm", "em", "moments"]
 
 
@@ -167,7 +170,7 @@ def fit_nodes(
     return _finish(nodes, found, jnp.asarray(gain), jnp.asarray(steps), method, settings)
 
 
-@eqx.filter_jit
+@partial(jax.jit, static_argnames=_STATIC)
 def _whole(
     nodes: Nodes, key: Any, start: Any, count: int, method: str, settings: LobeSettings
 ) -> LobeFit:
@@ -206,7 +209,7 @@ def _check(nodes: Nodes, settings: LobeSettings) -> None:
         raise InputError(f"function {int(np.argmax(empty))} is zero at every node")
 
 
-@eqx.filter_jit
+@partial(jax.jit, static_argnames=_STATIC)
 def _fit(
     nodes: Nodes, key: Any, start: Any, count: int, method: str, settings: LobeSettings
 ) -> tuple[tuple[Array, Array, Array], Array]:
@@ -297,7 +300,7 @@ def _replaced(batch: Any, rows: np.ndarray, found: Any) -> Any:
     return jax.tree.map(lambda a, b: a.at[rows].set(b[: rows.size]), batch, found)
 
 
-@eqx.filter_jit
+@partial(jax.jit, static_argnames=("method", "settings"))
 def _finish(
     nodes: Nodes, found: Scalar, gain: Array, steps: Array, method: str, settings: LobeSettings
 ) -> LobeFit:

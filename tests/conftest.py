@@ -54,6 +54,23 @@ def pytest_collection_modifyitems(config, items):
     items[:] = kept
 
 
+# Of 65,530 memory mappings that Linux allows a process by default, a compiled program takes
+# a few: a worker that kept all programs of the suite would crash in the compiler.
+MOST_MAPPINGS = 20_000
+
+
+@pytest.fixture(autouse=True)
+def _programs_are_few():
+    yield
+    try:
+        with open("/proc/self/maps", "rb") as file:
+            mappings = sum(1 for _ in file)
+    except OSError:  # not Linux
+        return
+    if mappings > MOST_MAPPINGS:
+        jax.clear_caches()
+
+
 @pytest.fixture
 def rng():
     import numpy as np

@@ -8,6 +8,9 @@
 `expansion_studies`       study of Taylor, Chebyshev and low-rank expansions
 `spectral_studies`        studies of few wavelengths, and of the form of the reflectance
 `table_studies`           studies of baked tables, and of the choice over coherence lengths
+`material_studies`        studies of reflectances, masking, colour and tables
+`energy_studies`          study of what rough facets lose
+`lobe_studies`            studies of closed forms for lobes; those of fits are in `fitting`
 `validity`                the scalar models against rigorous optics
 `measurement`             cost of a compiled function
 `comparison`              every method on one job, in one run

@@ -9,6 +9,7 @@
 `material`        ``diffopt material``: pictures and properties of a material
 `studying`        ``diffopt accuracy`` and ``diffopt bench``
 `comparing`       ``diffopt compare``
+`fitting`         ``diffopt fit``; `fit_targets`: what is fitted to
 `inspection`      ``diffopt samples`` and ``diffopt info``
 `limits`          refusal of files that claim to be enormous
 `output`          folders that are complete or absent

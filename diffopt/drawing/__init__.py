@@ -7,6 +7,7 @@
 `tangents`   directions of the material on a mesh
 `views`      what the pictures show, as numbers
 `lobes`      pictures of one material: lobes, map, ball, albedo, swatch
+`lobe_fits`  targets, fitted lobes and residuals
 `tones`      gamut, exposure and tone curve for a display
 `pictures`   figures and files
 `frames`     pictures at interactive rates, for moving lights
