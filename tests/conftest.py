@@ -8,6 +8,7 @@ Compilation takes most of its time. Programs are kept in `.pytest_cache`, where 
 workers, the second pass, the commands that tests run and the next run find them.
 """
 
+import itertools
 import os
 from pathlib import Path
 
@@ -59,9 +60,14 @@ def pytest_collection_modifyitems(config, items):
 MOST_MAPPINGS = 20_000
 
 
+tests_run = itertools.count()
+
+
 @pytest.fixture(autouse=True)
 def _programs_are_few():
     yield
+    if next(tests_run) % 8:  # counting mappings takes some 10 ms
+        return
     try:
         with open("/proc/self/maps", "rb") as file:
             mappings = sum(1 for _ in file)
