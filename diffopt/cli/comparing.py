@@ -194,12 +194,13 @@ def lobes(
     from diffopt import checks
     from diffopt.brdf_lobes import icosahedral_views
     from diffopt.cli.errors import user_input
+    from diffopt.cli.material import subject
     from diffopt.cli.options import floats
     from diffopt.cli.output import folder
     from diffopt.cli.progress import stages, terminal
     from diffopt.errors import InputError
     from diffopt.fitting import comparison
-    from diffopt.materials import naming
+    from diffopt.materials.report import direction
 
     for each in method or ():
         checks.choice("--method", each, comparison.METHODS)
@@ -212,21 +213,17 @@ def lobes(
     if min(samples, repeats) < 1:
         raise InputError("--samples and --repeats must be at least 1")
     with user_input():
-        subjects = [
-            naming.named(name) if name in naming.NAMES else naming.load(name)
-            for name in names or ()
-        ]
+        subjects = [subject(name, {}) for name in names or ()]
         if views is not None:
             wo = icosahedral_views(views)[0]
         else:
-            theta = np.deg2rad(np.asarray(degrees))
-            wo = np.stack([np.sin(theta), 0.0 * theta, np.cos(theta)], -1)
+            wo = np.stack([direction(each) for each in degrees])
     with contextlib.ExitStack() as stack:
         staging = None if output is None else stack.enter_context(folder(output))
         progress = stack.enter_context(stages(1))
         with progress.stage("every method"), user_input():
             found = comparison.compare(
-                [subject.material for subject in subjects] or None,
+                [each.material for each in subjects] or None,
                 counts,
                 wo=wo,
                 methods=method or comparison.METHODS,

@@ -88,7 +88,7 @@ def read(word: str, chosen: dict[str, Any]) -> Target:
     known = word in naming.NAMES or path.exists() or suffix in naming.SUFFIXES
     if not known:
         raise InputError(f"{naming.unknown(word)}; a map or samples ({', '.join(MAPS)}, .npy)")
-    subject = material_command._subject(word, chosen)
+    subject = material_command.subject(word, chosen)
     if subject.material.delta:
         raise InputError(
             f"{word}: perfect mirrors and refraction have no width, and no lobes; take a rough "

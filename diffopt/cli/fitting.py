@@ -100,19 +100,16 @@ def lobes(
     ] = None,
 ) -> None:
     """Von Mises-Fisher lobes of a material's slices, an environment map, or samples."""
-    import math
-
     from diffopt import checks
-    from diffopt.cli import fit_targets
+    from diffopt.cli import fit_targets, options
     from diffopt.cli.diffraction import precision
     from diffopt.cli.errors import user_input
-    from diffopt.cli.options import numbers
 
     checks.choice("--dtype", dtype, ("float32", "float64"))
     asked = Asked(
         _count(count, method),
         tolerance,
-        None if angle is None else _angles(angle),
+        None if angle is None else options.angles("--angle", angle, MOST, STEEPEST),
         _chosen("--method", method, _METHODS),
         _chosen("--energy", energy, ("restored", "fitted")),
         _chosen("--start", start, ("scattered", "split")),
@@ -129,19 +126,19 @@ def lobes(
         raise InputError(f"--rounds must be at least 1; received {rounds}")
     if key < 0:
         raise InputError(f"--key must be at least 0; received {key}")
-    if sigma is not None and not 0.0 <= sigma <= 90.0:
-        raise InputError(f"--sigma must lie between 0 and 90 degrees; received {sigma:g}")
-    chosen = {
-        "alpha": numbers("--alpha", alpha),
-        "roughness": numbers("--roughness", roughness),
-        "normals": normals,
-        "masking": masking,
-        "compensation": compensation,
-        "exponent": exponent,
-        "colour": numbers("--colour", colour, (1, 3)),
-        "sigma": None if sigma is None else math.radians(sigma),
-        "eta": eta,
-    }
+    chosen = options.of_material(
+        {
+            "alpha": alpha,
+            "roughness": roughness,
+            "normals": normals,
+            "masking": masking,
+            "compensation": compensation,
+            "exponent": exponent,
+            "colour": colour,
+            "sigma": sigma,
+            "eta": eta,
+        }
+    )
     with precision(dtype):
         with user_input():
             found = fit_targets.read(target, chosen)
@@ -336,14 +333,12 @@ def _lobe_rows(lobes: "Lobes") -> list[list[tuple[str, ...]]]:
 
 
 def _write_errors(path: Path, target: "Target", angles: tuple[float, ...], fit: "LobeFit") -> None:
-    import csv
+    from diffopt.accuracy.output import write_csv
 
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        first = ["angle_deg"] if target.kind == "material" else []
-        writer.writerow([*first, "relative_error", "energy_error", "settled", "steps"])
-        for k, row in enumerate(_errors(fit)):
-            writer.writerow([*(angles[k : k + 1] if first else ()), *row])
+    seen = target.kind == "material"
+    names = ["relative_error", "energy_error", "settled", "steps"]
+    rows = [[*angles[k : k + seen], *row] for k, row in enumerate(_errors(fit))]
+    write_csv(["angle_deg"] * seen + names, rows, path)
 
 
 def _count(text: str | None, method: str | None) -> int | Literal["auto"] | None:
@@ -355,19 +350,6 @@ def _count(text: str | None, method: str | None) -> int | Literal["auto"] | None
     if not text.isdecimal() or not 1 <= int(text) <= 64:
         raise InputError(f"--lobes must be 1 to 64, or auto; received {text!r}")
     return int(text)
-
-
-def _angles(text: str) -> tuple[float, ...]:
-    from diffopt.cli.options import numbers
-
-    found = numbers("--angle", text, range(1, MOST + 1))
-    angles = (found,) if isinstance(found, float) else tuple(found)
-    for angle in angles:
-        if not 0.0 <= angle <= STEEPEST:
-            raise InputError(
-                f"--angle must lie between 0 and {STEEPEST:g} degrees; received {angle:g}"
-            )
-    return tuple(dict.fromkeys(angles))
 
 
 def _chosen(option: str, value: str | None, options: tuple[str, ...]) -> str | None:

@@ -73,33 +73,31 @@ def command(
     ] = None,
 ) -> None:
     """Lobes, a sphere, a map, albedo and colour of a material, and a test of its properties."""
-    import math
-
+    from diffopt.cli import options
     from diffopt.cli.errors import user_input
-    from diffopt.cli.options import numbers
 
     if not SIZES[0] <= size <= SIZES[1]:
         raise InputError(
             f"--size must lie between {SIZES[0]} and {SIZES[1]} pixels; received {size}"
         )
-    if sigma is not None and not 0.0 <= sigma <= 90.0:
-        raise InputError(f"--sigma must lie between 0 and 90 degrees; received {sigma:g}")
-    chosen = {
-        "alpha": numbers("--alpha", alpha),
-        "roughness": numbers("--roughness", roughness),
-        "normals": normals,
-        "masking": masking,
-        "compensation": compensation,
-        "exponent": exponent,
-        "colour": numbers("--colour", colour, (1, 3)),
-        "sigma": None if sigma is None else math.radians(sigma),
-        "eta": eta,
-    }
-    lights = _lights(angles)
+    chosen = options.of_material(
+        {
+            "alpha": alpha,
+            "roughness": roughness,
+            "normals": normals,
+            "masking": masking,
+            "compensation": compensation,
+            "exponent": exponent,
+            "colour": colour,
+            "sigma": sigma,
+            "eta": eta,
+        }
+    )
+    lights = options.angles("--angles", angles, MOST, STEEPEST)
     with user_input():
-        subject = _subject(material, chosen)
+        found = subject(material, chosen)
     target = Path("out") / Path(material).stem if output is None else output
-    run(subject, lights, size, target, as_json=as_json)
+    run(found, lights, size, target, as_json=as_json)
 
 
 def run(
@@ -249,7 +247,7 @@ def _declared(name: str, report: "Properties") -> str:
     return yes if report.declared[name] else no
 
 
-def _subject(word: str, chosen: dict[str, Any]) -> "Subject":
+def subject(word: str, chosen: dict[str, Any]) -> "Subject":
     """The material that is meant by a name or a file."""
     from diffopt.materials import naming
 
@@ -262,19 +260,6 @@ def _subject(word: str, chosen: dict[str, Any]) -> "Subject":
     if used:
         raise InputError(f"--{used[0]} is for named materials; {word} is a file")
     return naming.load(path)
-
-
-def _lights(text: str) -> tuple[float, ...]:
-    from diffopt.cli.options import numbers
-
-    found = numbers("--angles", text, range(1, MOST + 1))
-    angles = (found,) if isinstance(found, float) else tuple(found)
-    for angle in angles:
-        if not 0.0 <= angle <= STEEPEST:
-            raise InputError(
-                f"--angles must lie between 0 and {STEEPEST:g} degrees; received {angle:g}"
-            )
-    return tuple(dict.fromkeys(angles))
 
 
 def _listed(values: Any) -> list[float] | None:

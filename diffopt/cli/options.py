@@ -151,6 +151,40 @@ def numbers(
     return values[0] if len(values) == 1 else values
 
 
+def of_material(words: dict[str, Any]) -> dict[str, Any]:
+    """What `diffopt.materials.naming.named` takes, from options as they are typed.
+
+    Raises
+    ------
+    InputError
+        If a number is mistyped or the angle is out of range.
+    """
+    sigma = words["sigma"]
+    if sigma is not None and not 0.0 <= sigma <= 90.0:
+        raise InputError(f"--sigma must lie between 0 and 90 degrees; received {sigma:g}")
+    counts = {"alpha": (1, 2), "roughness": (1, 2), "colour": (1, 3)}
+    read = {name: numbers(f"--{name}", words[name], many) for name, many in counts.items()}
+    return words | read | {"sigma": None if sigma is None else math.radians(sigma)}
+
+
+def angles(option: str, text: str, most: int, steepest: float) -> tuple[float, ...]:
+    """Different angles to the normal in degrees, at most so many, up to the steepest.
+
+    Raises
+    ------
+    InputError
+        If there are more, one is mistyped or out of range.
+    """
+    found = numbers(option, text, range(1, most + 1))
+    values = (found,) if isinstance(found, float) else tuple(found)
+    for angle in values:
+        if not 0.0 <= angle <= steepest:
+            raise InputError(
+                f"{option} must lie between 0 and {steepest:g} degrees; received {angle:g}"
+            )
+    return tuple(dict.fromkeys(values))
+
+
 def load(source: Source) -> Heightfield:
     """Read or make the heights, level them and see that they are complete.
 
