@@ -69,6 +69,11 @@ class Lobes(eqx.Module):
             raise InputError(f"kappa must be >= 0; received {array.min():g}")
 
     @property
+    def arrays(self) -> tuple[Array, Array, Array]:
+        """Alpha, mu and kappa."""
+        return self.alpha, self.mu, self.kappa
+
+    @property
     def count(self) -> int:
         """Number of lobes K."""
         return self.kappa.shape[-1]

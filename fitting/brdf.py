@@ -4,7 +4,7 @@ One view is fitted from scratch. From there the fit walks outwards over the tria
 starts from the lobes of a neighbour that is done, turned with the mean direction, and takes
 least-squares steps only. So lobe j stays the same lobe from view to view, and interpolating
 its parameters is meaningful; views fitted each on its own end in other orders and other local
-minima (ten times the error half-way between two views 8 degrees apart).
+minima (two to six times the error half-way between two views).
 """
 
 from dataclasses import replace
@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from diffopt.brdf_lobes import BRDFLobes, icosahedral_views
 from diffopt.fitting.lobe_settings import LobeSettings
 from diffopt.fitting.lobe_targets import slices
-from diffopt.fitting.lobes import LobeFit, Nodes, fit_nodes
+from diffopt.fitting.lobes import LobeFit, Nodes, fit_nodes, members
 from diffopt.kernels import frames, mixture
 from diffopt.lobes import Lobes
 from diffopt.materials.base import Material
@@ -62,8 +62,10 @@ def fit_brdf(
     views, faces = icosahedral_views(level)
     nodes = slices(material, jnp.asarray(views, dtype), settings)
     first = int(np.argmin(np.abs(views[:, 2] - _FIRST_Z)))
-    begun = fit_nodes(_rows(nodes, np.array([first])), lobes, settings=settings, key=key)
-    alpha, mu, kappa = (np.resize(np.asarray(a), (len(views), *a.shape[1:])) for a in _lobes(begun))
+    begun = fit_nodes(members(nodes, np.array([first])), lobes, settings=settings, key=key)
+    alpha, mu, kappa = (
+        np.resize(np.asarray(a), (len(views), *a.shape[1:])) for a in begun.lobes.arrays
+    )
     # No coarse grid leads these fits: some of its steps are taken on all nodes.
     walking = replace(settings, lm_steps=settings.lm_steps + settings.coarse_steps // 2, rounds=1)
     waves = _waves(len(views), faces, first)
@@ -71,11 +73,11 @@ def fit_brdf(
     for wave, parents in waves:
         # All waves in one shape: one compiled program.
         rows, sources = np.resize(wave, width), np.resize(parents, width)
-        here, there = _means(_rows(nodes, rows)), _means(_rows(nodes, sources))
+        here, there = _means(members(nodes, rows)), _means(members(nodes, sources))
         turned = _rotate(there[:, None], here[:, None], jnp.asarray(mu[sources]))
         start = Lobes(alpha[sources], turned, kappa[sources])
-        fit = fit_nodes(_rows(nodes, rows), lobes, settings=walking, start=start)
-        for whole, part in zip((alpha, mu, kappa), _lobes(fit), strict=True):
+        fit = fit_nodes(members(nodes, rows), lobes, settings=walking, start=start)
+        for whole, part in zip((alpha, mu, kappa), fit.lobes.arrays, strict=True):
             whole[wave] = np.asarray(part)[: len(wave)]
     # A last round on all views tells which have settled.
     fit = fit_nodes(nodes, lobes, settings=settings, start=Lobes(alpha, mu, kappa))
@@ -84,14 +86,6 @@ def fit_brdf(
     return eqx.tree_at(
         lambda f: (f.steps, f.brdf), fit, (steps, brdf), is_leaf=lambda leaf: leaf is None
     )
-
-
-def _lobes(fit: LobeFit) -> tuple[Array, Array, Array]:
-    return fit.lobes.alpha, fit.lobes.mu, fit.lobes.kappa
-
-
-def _rows(nodes: Nodes, rows: np.ndarray) -> Nodes:
-    return jax.tree.map(lambda a: a[rows], nodes)
 
 
 def _waves(count: int, faces: np.ndarray, first: int) -> list[tuple[np.ndarray, np.ndarray]]:

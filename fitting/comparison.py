@@ -22,7 +22,7 @@ from diffopt.fitting import rivals
 from diffopt.fitting.lobe_settings import LobeSettings
 from diffopt.fitting.lobe_table import LobeComparison, Row
 from diffopt.fitting.lobe_targets import slices
-from diffopt.fitting.lobes import Nodes, fit_nodes
+from diffopt.fitting.lobes import Nodes, fit_nodes, members
 from diffopt.kernels import mixture, vmf
 from diffopt.materials.base import Material
 from diffopt.materials.phong import BlinnPhong
@@ -197,8 +197,8 @@ class _Job:
         first = time.perf_counter()
         fitted = fit(self.nodes)
         compile_s = time.perf_counter() - first
-        one = _members(self.nodes)
-        row = self._judged(method, count, *_arrays(fitted), dtype="float32")
+        one = _alone(self.nodes)
+        row = self._judged(method, count, *fitted.lobes.arrays, dtype="float32")
         seconds, spread = _times(lambda: fit(self.nodes), self.repeats)
         # A function alone: the mean over all of them, each compiled in the same shape.
         alone, _ = _times(lambda: [fit(each) for each in one], max(3, self.repeats // 2))
@@ -249,7 +249,7 @@ class _Job:
         with jax.enable_x64(True), rivals.one_thread() as alone:
             nodes, start = self._begun(count, jnp.float64)
             first = time.perf_counter()
-            rivals.scipy_fit(*(_members((nodes, start))[0]), max_steps=2)
+            rivals.scipy_fit(*(_alone((nodes, start))[0]), max_steps=2)
             compile_s = time.perf_counter() - first
             found = rivals.scipy_fit(nodes, start)
             seconds, spread = _times(lambda: rivals.scipy_fit(nodes, start), 3)
@@ -275,7 +275,7 @@ class _Job:
             fit = fit_nodes(
                 nodes, count, method="em", settings=settings, key=jax.random.key(self.seed)
             )
-            held = jax.tree.map(np.asarray, (nodes, _arrays(fit)))
+            held = jax.tree.map(np.asarray, (nodes, fit.lobes.arrays))
         return jax.tree.map(lambda a: jnp.asarray(a, dtype), held)
 
     def _timed(
@@ -285,7 +285,7 @@ class _Job:
         size = jax.tree.leaves(arguments)[0].shape[0]
         program = compile_ahead(function, *arguments)
         found = program(*arguments)
-        one = _members(arguments)
+        one = _alone(arguments)
         single = compile_ahead(function, *one[0])
         repeats = self.repeats if steps is not None else 3
         seconds, spread = _times(lambda: program(*arguments), repeats)
@@ -344,19 +344,15 @@ def _without_coarse(nodes: Nodes) -> Nodes:
     return Nodes(nodes.directions, nodes.solid_angles, nodes.values)
 
 
-def _arrays(fit: Any) -> tuple[Array, Array, Array]:
-    return fit.lobes.alpha, fit.lobes.mu, fit.lobes.kappa
-
-
 def _mean(values: Any) -> float:
     """Of an array that may have been made while 64-bit types were on."""
     return float(np.asarray(values, np.float64).mean())
 
 
-def _members(batch: Any) -> list[Any]:
+def _alone(batch: Any) -> list[Any]:
     """Batches of one."""
     size = jax.tree.leaves(batch)[0].shape[0]
-    return [jax.tree.map(lambda a, i=i: a[i : i + 1], batch) for i in range(size)]
+    return [members(batch, slice(row, row + 1)) for row in range(size)]
 
 
 def _times(run: Callable[[], Any], repeats: int) -> tuple[float, float]:

@@ -35,7 +35,8 @@ class LobeSettings:
     settled
         Relative fall of the squared error in a round under which a function has settled.
     energy
-        ``"restored"``: all weights are scaled so that the integral is kept exactly.
+        ``"restored"``: weights are changed as little as the function allows, so that the
+        integral is kept exactly.
         ``"fitted"``: the least squares' own, up to 15 % off for one lobe at grazing angles.
     signed
         Let weights be negative: lower error, but no longer a mixture that can be sampled.

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from diffopt.accuracy.studies import Case, Job, Study
 from diffopt.fitting.lobe_settings import LobeSettings
-from diffopt.fitting.lobe_targets import _grids
+from diffopt.fitting.lobe_targets import grids
 from diffopt.fitting.lobes import LobeFit, Method, Nodes, fit_nodes
 
 EXPONENTS = (4.0, 32.0, 128.0)
@@ -94,14 +94,14 @@ def _nodes(settings: LobeSettings) -> Nodes:
     given = [truth(*problem) for problem in _PROBLEMS]
     directions = jnp.asarray(np.stack([g.directions for g in given]), "float32")
     weights = jnp.asarray(np.stack([g.solid_angles * g.values for g in given]), "float32")
-    grids = jax.jit(jax.vmap(functools.partial(_grids, settings=settings)))(directions, weights)
+    found = jax.jit(jax.vmap(functools.partial(grids, settings=settings)))(directions, weights)
 
     def known(directions: Array, solid_angles: Array, coarse: Nodes | None = None) -> Nodes:
         pairs = zip(np.asarray(directions, np.float64), _PROBLEMS, strict=True)
         values = np.stack([_blinn(wi, *problem) for wi, problem in pairs])
         return Nodes(directions, solid_angles, jnp.asarray(values[..., None], "float32"), coarse)
 
-    (fine, solid), coarse = grids
+    (fine, solid), coarse, _ = found
     return known(fine, solid, known(*coarse))
 
 

@@ -137,51 +137,44 @@ def _slices(material: Material, wo: Array, settings: LobeSettings) -> Nodes:
             values = values.reshape(*directions.shape[:1], -1) * jnp.abs(directions[:, 2:])
             return directions, solid, values
 
-        fine, coarse = _grids(scouts.wi, square, settings)
-        return on(*fine), on(*coarse), on(*_other_grid(scouts.wi, square, settings))
+        fine, coarse, other = grids(scouts.wi, square, settings)
+        return on(*fine), on(*coarse), on(*other)
 
     size = min(settings.chunk, wo.shape[0])
     fine, coarse, other = (Nodes(*part) for part in jax.lax.map(one, wo, batch_size=size))
     return Nodes(fine.directions, fine.solid_angles, fine.values, coarse, other)
 
 
-def _grids(
+def grids(
     directions: Array, weights: Array, settings: LobeSettings
-) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Nodes for something of which weighted directions are known, and a quarter as many."""
-    mu, core = _centre(directions, weights, settings)
+) -> tuple[tuple[Array, Array], tuple[Array, Array], tuple[Array, Array]]:
+    """Nodes for something of which weighted directions are known: fine, coarse, other.
+
+    The coarse ones are a quarter as many. The fit does not see the others, on which its error
+    is measured; they are more than twice as many.
+    """
+    _, mu, kappa = mixture.moments(directions, weights, settings.sharpest)
+    core = jnp.minimum(_REACH * jax.lax.rsqrt(jnp.maximum(kappa, 1.0)), 1.0)
     rings, sectors = settings.rings, settings.sectors
     return (
         quadrature.polar_grid(mu, rings, sectors, core),
         quadrature.polar_grid(mu, rings // 2, sectors // 2, core),
+        quadrature.polar_grid(mu, 3 * rings // 2 + 1, 3 * sectors // 2 + 1, core),
     )
-
-
-def _other_grid(directions: Array, weights: Array, settings: LobeSettings) -> tuple[Array, Array]:
-    """Nodes that the fit does not see, to measure its error on: more than twice as many."""
-    mu, core = _centre(directions, weights, settings)
-    rings, sectors = 3 * settings.rings // 2 + 1, 3 * settings.sectors // 2 + 1
-    return quadrature.polar_grid(mu, rings, sectors, core)
-
-
-def _centre(directions: Array, weights: Array, settings: LobeSettings) -> tuple[Array, Array]:
-    _, mu, kappa = mixture.moments(directions, weights, settings.sharpest)
-    return mu, jnp.minimum(_REACH * jax.lax.rsqrt(jnp.maximum(kappa, 1.0)), 1.0)
 
 
 def _function_nodes(target: Callable, settings: LobeSettings) -> Nodes:
     up = jnp.asarray([0.0, 0.0, 1.0])
     start = quadrature.polar_grid(up, *_SEARCH)
     # Twice: the first grid is too coarse to say how sharp a sharp function is.
-    found, _ = _grids(*_squared(target, *start), settings)
-    known = _squared(target, *found)
-    fine, few = _grids(*known, settings)
+    found, _, _ = grids(*_squared(target, *start), settings)
+    chosen = grids(*_squared(target, *found), settings)
 
     def alone(grid: tuple[Array, Array]) -> Nodes:
         return Nodes(grid[0][None], grid[1][None], _evaluated(target, grid[0])[None])
 
-    nodes, other = alone(fine), alone(_other_grid(*known, settings))
-    return Nodes(nodes.directions, nodes.solid_angles, nodes.values, alone(few), other)
+    fine, coarse, other = map(alone, chosen)
+    return Nodes(fine.directions, fine.solid_angles, fine.values, coarse, other)
 
 
 def _squared(target: Callable, directions: Array, solid: Array) -> tuple[Array, Array]:
@@ -302,7 +295,7 @@ def _without_batch(fit: LobeFit, shape: tuple[int, ...]) -> LobeFit:
     def shaped(array: Array) -> Array:
         return array.reshape(*shape, *array.shape[1:])
 
-    lobes = Lobes(*(shaped(a) for a in (fit.lobes.alpha, fit.lobes.mu, fit.lobes.kappa)))
+    lobes = Lobes(*map(shaped, fit.lobes.arrays))
     return eqx.tree_at(
         lambda f: (f.lobes, f.error, f.energy_error, f.steps, f.settled),
         fit,

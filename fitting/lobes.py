@@ -284,7 +284,7 @@ def _rounds(
         size = min(1 << int(active.size - 1).bit_length(), gain.size)
         padded = np.resize(active, size)  # the rest repeats
         found, gained = _fit(
-            _members(nodes, padded), None, _members(begun, padded), lobes, "lm", settings
+            members(nodes, padded), None, members(begun, padded), lobes, "lm", settings
         )
         begun = _replaced(begun, active, found)
         gain[active] = np.asarray(gained)[: active.size]
@@ -292,7 +292,8 @@ def _rounds(
     return begun
 
 
-def _members(batch: Any, rows: np.ndarray) -> Any:
+def members(batch: Any, rows: np.ndarray | slice) -> Any:
+    """Some functions of a batch: the same rows of all its arrays."""
     return jax.tree.map(lambda a: a[rows], batch)
 
 

@@ -6,7 +6,7 @@ with weights ``value x solid angle``; weights of zero mask. One problem at a tim
 
 The likelihood of a mixture has no bound: a lobe that closes in on one direction grows for
 ever. Concentrations are therefore kept in a range, whose upper end is the caller's
-(for a grid, one over the solid angle of a cell).
+(for a grid, 2 pi over the solid angle of a cell).
 """
 
 import math
@@ -211,9 +211,7 @@ def scattered_start(
         axes.append(axis)
         distance = _distances(s, axis[None])[0]
         nearest = jnp.minimum(nearest, distance) if j else distance
-    spread = jnp.clip(lobes * kappa, FLATTEST, sharpest)
-    share = jnp.full((lobes,), -math.log(lobes), weights.dtype)
-    return Mixture(share, jnp.stack(axes), jnp.broadcast_to(spread, (lobes,)))
+    return _equal(jnp.stack(axes), kappa, sharpest)
 
 
 def split_start(
@@ -243,6 +241,12 @@ def split_start(
     steps = jnp.linspace(-2.0, 2.0, lobes, dtype=weights.dtype) if lobes > 1 else jnp.zeros(1)
     vectors = mean[None] + (steps.astype(weights.dtype) * size)[:, None] * axis[None]
     mu = vectors / jnp.sqrt((vectors * vectors).sum(-1, keepdims=True))
-    share = jnp.full((lobes,), -math.log(lobes), weights.dtype)
+    return _equal(mu, kappa, sharpest)
+
+
+def _equal(mu: Float[Array, "K 3"], kappa: Float[Array, ""], sharpest: Number) -> Mixture:
+    """Lobes of one share, each K times as concentrated as the whole."""
+    lobes = mu.shape[0]
     spread = jnp.clip(lobes * kappa, FLATTEST, sharpest)
+    share = jnp.full((lobes,), -math.log(lobes), mu.dtype)
     return Mixture(share, mu, jnp.broadcast_to(spread, (lobes,)))
