@@ -5,10 +5,10 @@ import functools
 import json
 import math
 import sys
-import types
 
 import jax
 import numpy as np
+import OpenEXR
 import PIL.Image
 import pytest
 
@@ -195,15 +195,26 @@ def test_exr_needs_its_package(tmp_path, monkeypatch):
     path = tmp_path / "a.exr"
     path.write_bytes(b"\x76\x2f\x31\x01 and more")
     monkeypatch.setitem(sys.modules, "OpenEXR", None)
-    with pytest.raises(InputError, match="needs the package OpenEXR"):
+    with pytest.raises(InputError, match=r"needs the package OpenEXR: pip install '.*\[exr\]'"):
         fit_targets.read(str(path), NOTHING)
-    pixels = np.ones((4, 8, 4), np.float16)
-    channels = {"RGBA": types.SimpleNamespace(pixels=pixels)}
-    file = types.SimpleNamespace(channels=lambda: channels)
-    monkeypatch.setitem(sys.modules, "OpenEXR", types.SimpleNamespace(File=lambda _: file))
-    assert fit_targets.read(str(path), NOTHING).content.shape == (4, 8, 3)
-    channels["Z"] = channels.pop("RGBA")
-    with pytest.raises(InputError, match="expected channels R, G, B or Y; received Z"):
+
+
+@pytest.mark.parametrize(
+    ("name", "shape", "kept"),
+    [("RGB", (4, 8, 3), 3), ("RGBA", (4, 8, 4), 3), ("Y", (4, 8), 1), ("Z", (4, 8), 0)],
+)
+def test_exr_as_its_library_writes_it(name, shape, kept, tmp_path):
+    path = tmp_path / "a.exr"
+    pixels = np.linspace(0.25, 1.0, np.prod(shape)).reshape(shape).astype(np.float16)
+    OpenEXR.File({}, {name: pixels}).write(str(path))
+    if not kept:
+        with pytest.raises(InputError, match="expected channels R, G, B or Y; received Z"):
+            fit_targets.read(str(path), NOTHING)
+        return
+    found = fit_targets.read(str(path), NOTHING)
+    np.testing.assert_array_equal(found.content, pixels.reshape(4, 8, -1)[..., :kept])
+    path.write_bytes(path.read_bytes()[:40])
+    with pytest.raises(InputError, match=r"a.exr: cannot be read: "):
         fit_targets.read(str(path), NOTHING)
 
 

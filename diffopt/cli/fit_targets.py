@@ -3,7 +3,7 @@
 Files are told apart by what they hold:
 
 =============  ==================================================================
-map            ``.exr`` (needs OpenEXR), ``.hdr``, ``.png`` (sRGB), ``.npy`` [H, W] or
+map            ``.exr`` (extra ``exr``), ``.hdr``, ``.png`` (sRGB), ``.npy`` [H, W] or
                [H, W, C], radiance; first row at the zenith, columns from azimuth 0
 samples        ``.npy`` [N, 3] or, with weights, [N, 4]; ``.npz`` with ``directions`` and
                perhaps ``weights``; ``.csv`` with columns x, y, z and perhaps weight
@@ -214,8 +214,8 @@ def _exr(path: Path) -> np.ndarray:
         library = importlib.import_module("OpenEXR")
     except ImportError:
         raise InputError(
-            f"{path}: .exr needs the package OpenEXR (pip install OpenEXR), or save it as .npy "
-            "or .hdr"
+            f"{path}: .exr needs the package OpenEXR: pip install 'diffopt-optics[exr]', or save "
+            "it as .npy or .hdr"
         ) from None
     try:
         parts = library.File(str(path)).channels()
