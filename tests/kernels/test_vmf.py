@@ -11,12 +11,29 @@ import numpy as np
 import pytest
 from scipy.special import roots_legendre
 
-from diffopt.kernels import langevin, vmf, vmf_pairs
+from diffopt.kernels import langevin as eager_langevin
+from diffopt.kernels import vmf as eager_vmf
+from diffopt.kernels import vmf_pairs as eager_pairs
 
 DATA = json.loads((Path(__file__).parents[1] / "data" / "vmf.json").read_text())
 EPS = {"float32": 2.0**-23, "float64": 2.0**-52}
 Z = np.array([0.0, 0.0, 1.0])
 SLANT = np.array([0.48, -0.36, 0.8])
+
+
+class Compiled:
+    """Functions of a module, each compiled whole: eagerly, every operation is a program."""
+
+    def __init__(self, module):
+        self.module = module
+
+    def __getattr__(self, name):
+        function = jax.jit(getattr(self.module, name))
+        setattr(self, name, function)
+        return function
+
+
+langevin, vmf, vmf_pairs = map(Compiled, (eager_langevin, eager_vmf, eager_pairs))
 
 
 def column(kind, name):
@@ -78,7 +95,7 @@ def test_one_lobe(dtype):
     z, s = held(dtype, np.broadcast_to(Z, (kappa.size, 3)), tilted(np.array([0.0, 0.1, 1e-4, 3.0])))
 
     def slope(f):
-        return jax.vmap(jax.grad(f))(k)
+        return jax.jit(jax.vmap(jax.grad(f)))(k)
 
     found = {
         "log_c": vmf.log_normaliser(k),
@@ -133,9 +150,8 @@ def test_inverse_of_the_mean_cosine(kind, dtype):
         return jax.jvp(langevin.inverse_langevin, (value, rest), (one, -one))[1]
 
     close(along(value, rest), slope, 32 * EPS[dtype] * slope)
-    by_value, by_rest = jax.grad(lambda *a: langevin.inverse_langevin(*a).sum(), (0, 1))(
-        value, rest
-    )
+    slopes = jax.jit(jax.grad(lambda *a: langevin.inverse_langevin(*a).sum(), (0, 1)))
+    by_value, by_rest = slopes(value, rest)
     # One of the two arguments carries the slope: the smaller one.
     np.testing.assert_array_equal(np.asarray(by_value) == 0, value > 0.5)
     np.testing.assert_array_equal(np.asarray(by_rest) == 0, value <= 0.5)
@@ -296,7 +312,7 @@ def test_slopes_are_the_named_functions(dtype):
     (k,) = held(dtype, np.concatenate([[0.0], np.logspace(-12, 8, 201)]))
 
     def slope(f):
-        return np.asarray(jax.vmap(jax.grad(f))(k))
+        return np.asarray(jax.jit(jax.vmap(jax.grad(f)))(k))
 
     rtol = 16 * EPS[dtype]
     for f, expected in (
@@ -332,7 +348,7 @@ def test_smooth_at_the_join(dtype):
         vmf.squared_norm,
         vmf.entropy,
     ):
-        value, slope = jax.vmap(jax.value_and_grad(f))(k)
+        value, slope = jax.jit(jax.vmap(jax.value_and_grad(f)))(k)
         assert abs(float(value[1] - value[0])) < 4 * EPS[dtype], f.__name__
         assert abs(float(slope[1] - slope[0])) < 8 * EPS[dtype], f.__name__
 
@@ -415,7 +431,8 @@ def test_distances_of_random_lobes(dtype, rng):
     # Concentrations that differ by more than a quarter: a difference of logarithms up to 18,
     # but never less than 0.02 then.
     assert (np.asarray(vmf_pairs.divergence(*lobes)) >= 0).all()
-    slopes = jax.grad(lambda *a: vmf_pairs.squared_distance(*a).sum(), (0, 1, 2, 3, 4, 5))(
+    every = tuple(range(6))
+    slopes = jax.jit(jax.grad(lambda *a: vmf_pairs.squared_distance(*a).sum(), every))(
         a0, mu0, k0, a1, mu1, k1
     )
     assert all(bool(jnp.isfinite(s).all()) for s in slopes)
@@ -490,12 +507,12 @@ def test_compiled_and_mapped_over_lobes(dtype, rng):
     def every(a, mu0, k0, mu1, k1):
         traces.append(a)
         return (
-            vmf.log_pdf(mu1, mu0, k0),
-            vmf.entropy(k0),
-            vmf_pairs.product(mu0, k0, mu1, k1),
-            vmf_pairs.convolved(k0, k1),
-            vmf_pairs.divergence(mu0, k0, mu1, k1),
-            vmf_pairs.squared_distance(a, mu0, k0, a, mu1, k1),
+            eager_vmf.log_pdf(mu1, mu0, k0),
+            eager_vmf.entropy(k0),
+            eager_pairs.product(mu0, k0, mu1, k1),
+            eager_pairs.convolved(k0, k1),
+            eager_pairs.divergence(mu0, k0, mu1, k1),
+            eager_pairs.squared_distance(a, mu0, k0, a, mu1, k1),
         )
 
     eager = every(alpha, *lobes)

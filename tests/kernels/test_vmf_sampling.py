@@ -17,6 +17,13 @@ EPS = {"float32": 2.0**-23, "float64": 2.0**-52}
 SLANT = np.array([0.48, -0.36, 0.8])
 BELOW = np.array([0.0, 0.0, -1.0])
 WARP = jax.jit(vmf_sampling.warp)
+SLOPE = jax.jit(
+    lambda u, mu, k: jax.jvp(lambda k: vmf_sampling.warp(u, mu, k), (k,), (jnp.ones_like(k),))[1]
+)
+# Compiled whole: eagerly, every operation is a program for each shape.
+LOG_PDF, PDF, ENTROPY = map(jax.jit, (vmf.log_pdf, vmf.pdf, vmf.entropy))
+MEAN, REST = jax.jit(langevin.langevin), jax.jit(langevin.langevin_complement)
+VARIANCE = jax.jit(langevin.langevin_slope)
 
 
 def uniform(rng, count, dtype):
@@ -62,8 +69,8 @@ def test_directions_have_the_density(kappa, dtype, rng):
     assert chisquare(cells).pvalue > 1e-6
     # Five standard deviations, sqrt(A') each.
     k = jnp.asarray(kappa)
-    spread = float(jnp.sqrt(langevin.langevin_slope(k) / count))
-    assert abs(t.mean() - float(langevin.langevin_complement(k))) < 5 * spread
+    spread = float(np.sqrt(VARIANCE(k) / count))
+    assert abs(t.mean() - float(REST(k))) < 5 * spread
 
 
 @pytest.mark.parametrize("axis", [SLANT, BELOW, -SLANT], ids=["slant", "down", "away"])
@@ -74,8 +81,8 @@ def test_unit_vectors_at_all_concentrations(axis, dtype, rng):
         assert np.isfinite(s).all(), kappa
         np.testing.assert_allclose(np.linalg.norm(s, axis=-1), 1, atol=6 * EPS[dtype])
         if kappa:
-            mean = float(langevin.langevin_complement(jnp.asarray(kappa)))
-            spread = float(jnp.sqrt(langevin.langevin_slope(jnp.asarray(kappa)) / 10_000))
+            mean = float(REST(jnp.asarray(kappa)))
+            spread = float(np.sqrt(VARIANCE(jnp.asarray(kappa)) / 10_000))
             # At 1e8 a direction in float32 is 1e-3 of the angle off its place.
             assert abs(gap(s, mu).mean() - mean) < 5 * spread + 1e-5 * mean, kappa
 
@@ -106,7 +113,7 @@ def test_slope_by_the_concentration(rng):
         step = 1e-4 * max(kappa, 1.0)
         if kappa < step:
             step = kappa / 2
-        slope = jax.jvp(lambda k: vmf_sampling.warp(u, mu, k), (k,), (jnp.ones(400),))[1]
+        slope = SLOPE(u, mu, k)
         difference = (WARP(u, mu, k + step) - WARP(u, mu, k - step)) / (2 * step)
         # Relative to directions that move by 1 while kappa changes by itself.
         size = max(float(jnp.abs(slope).max()), 1e-3 / max(kappa, 1.0))
@@ -135,17 +142,15 @@ def test_against_scipy(kappa, rng):
     # Its exponent is kappa mu.s: an error of kappa eps.
     tolerance = 1e-13 + 4 * kappa * EPS["float64"]
     some = jnp.asarray(theirs[:200])
-    log_pdf = vmf.log_pdf(some, axis, k)
+    log_pdf = LOG_PDF(some, axis, k)
     np.testing.assert_allclose(log_pdf, other.logpdf(theirs[:200]), atol=tolerance)
     if tolerance < 1e-9:
-        np.testing.assert_allclose(
-            vmf.pdf(some, axis, k), other.pdf(theirs[:200]), rtol=4 * tolerance
-        )
-    assert float(vmf.entropy(k)) == pytest.approx(other.entropy(), abs=tolerance)
-    spread = float(jnp.sqrt(langevin.langevin_slope(k) / 20_000))
+        np.testing.assert_allclose(PDF(some, axis, k), other.pdf(theirs[:200]), rtol=4 * tolerance)
+    assert float(ENTROPY(k)) == pytest.approx(other.entropy(), abs=tolerance)
+    spread = float(np.sqrt(VARIANCE(k) / 20_000))
     # Two samples of one mean; across the axis the variance is A / kappa.
     assert abs(gap(ours, mu).mean() - gap(theirs, mu).mean()) < 5 * np.sqrt(2) * spread
-    across = np.sqrt(float(langevin.langevin(k)) / kappa / 20_000)
+    across = np.sqrt(float(MEAN(k)) / kappa / 20_000)
     np.testing.assert_allclose(
         ours.mean(0), theirs.mean(0), atol=5 * np.sqrt(2) * max(across, spread)
     )
@@ -163,5 +168,5 @@ def test_beyond_scipy(kappa):
     s = jnp.asarray([np.sin(theta), 0.0, np.cos(theta)])
     log_peak = np.log(kappa / (2 * np.pi))
     exponent = kappa * 2 * np.sin(theta / 2) ** 2
-    assert float(vmf.log_pdf(s, mu, k)) == pytest.approx(log_peak - exponent, rel=1e-14)
-    assert float(vmf.entropy(k)) == pytest.approx(1 - log_peak, rel=1e-14)
+    assert float(LOG_PDF(s, mu, k)) == pytest.approx(log_peak - exponent, rel=1e-14)
+    assert float(ENTROPY(k)) == pytest.approx(1 - log_peak, rel=1e-14)
