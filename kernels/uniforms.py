@@ -31,6 +31,26 @@ def _threefry(
     return x, y
 
 
+def at(
+    key: PRNGKeyArray, first: UInt32[Array, "..."], second: UInt32[Array, "..."]
+) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    """Two independent numbers in [0, 1) for each counter of two words, float32.
+
+    Parameters
+    ----------
+    key
+        Of `jax.random.key`; one of another kind than Threefry is hashed to one.
+    first, second
+        The counter, of one shape.
+    """
+    if jax.random.key_impl(key) != "threefry2x32":
+        data = jax.random.bits(key, (2,), jnp.uint32)
+    else:
+        data = jax.random.key_data(key)
+    one, two = (_unit(word) for word in _threefry(data, first, second))
+    return one, two
+
+
 def pairs(key: PRNGKeyArray, count: int) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
     """Two times `count` independent numbers in [0, 1), float32, multiples of 2^-23.
 

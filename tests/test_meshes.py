@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from diffopt.drawing import meshes, shapes, tangents
+from diffopt.drawing import meshes, shapes
+from diffopt.scenes import tangents
 from diffopt.errors import InputError
 
 LIGHT = shapes.unit(np.array([-0.45, 0.50, 0.75]))

@@ -149,7 +149,8 @@ def prepare(words: Words) -> Subject | None:
         return None
     import numpy as np
 
-    from diffopt.drawing import meshes, shapes, tangents
+    from diffopt.drawing import meshes, shapes
+    from diffopt.scenes import tangents
 
     up = _vector("--mesh-up", words.mesh_up) or (0.0, 1.0, 0.0)
     direction = _vector("--mesh-direction", words.mesh_direction)
@@ -189,7 +190,7 @@ def _own_tangents(mesh: "meshes.Mesh", up: tuple[float, float, float]) -> tuple[
     """Directions that need no option: along the texture, or around the upward axis."""
     import numpy as np
 
-    from diffopt.drawing import tangents
+    from diffopt.scenes import tangents
 
     try:
         return tangents.from_texture(mesh), "follows u of the texture"

@@ -3,8 +3,6 @@
 ===========  ===================================================================
 `shapes`     closed shapes under a camera
 `meshes`     triangle meshes under a camera and a light
-`meshfiles`  meshes from files and arrays: winding, creases, normals
-`tangents`   directions of the material on a mesh
 `views`      what the pictures show, as numbers
 `lobes`      pictures of one material: lobes, map, ball, albedo, swatch
 `lobe_fits`  targets, fitted lobes and residuals

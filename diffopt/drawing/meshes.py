@@ -12,13 +12,14 @@ import math
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from diffopt.drawing import shapes, tangents
-from diffopt.drawing.meshfiles import FORMATS as FORMATS
-from diffopt.drawing.meshfiles import Mesh as Mesh
-from diffopt.drawing.meshfiles import build as build
-from diffopt.drawing.meshfiles import face_normals
-from diffopt.drawing.meshfiles import load as load
+from diffopt.drawing import shapes
 from diffopt.errors import InputError
+from diffopt.scenes import tangents
+from diffopt.scenes.meshfiles import FORMATS as FORMATS
+from diffopt.scenes.meshfiles import Mesh as Mesh
+from diffopt.scenes.meshfiles import build as build
+from diffopt.scenes.meshfiles import face_normals
+from diffopt.scenes.meshfiles import load as load
 
 #: From the middle of a mesh to the camera where nothing is said: right, up, to the front.
 THREE_QUARTER = (0.5, 0.4, 0.8)
@@ -122,7 +123,7 @@ def view(
     field_of_view_deg
         Angle across the shorter side of the picture.
     field
-        Directions of the material's x axis, see `diffopt.drawing.tangents`; if left out, along the
+        Directions of the material's x axis, see `diffopt.scenes.tangents`; if left out, along the
         texture if there is one, else around `up`.
 
     Raises

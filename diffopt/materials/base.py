@@ -78,6 +78,11 @@ class Material(eqx.Module):
         return False
 
     @property
+    def smooth(self) -> bool:
+        """Whether `f` is more than 0: there is more than lobes in single directions."""
+        return True
+
+    @property
     def transmits(self) -> bool:
         """Whether light passes; directions below the horizon have values then."""
         return False
@@ -113,6 +118,14 @@ class Material(eqx.Module):
         ratio = jnp.where(seen, jnp.abs(wi[..., 2]) / jnp.where(seen, pdf, 1.0), 0.0)
         weight = times(ratio, self._reflected(wi, wo))
         return Sample(wi, weight, pdf, jnp.zeros(pdf.shape, bool))
+
+    def coherent(self, wo: Float[Array, "*batch 3"]) -> tuple[Sample, ...]:
+        """All lobes in single directions, each with its whole weight and a density of 1.
+
+        What perfect mirrors and smooth glass do: coherent reflection and refraction. None by
+        default; wo above the horizon unless the material transmits.
+        """
+        return ()
 
     def f(self, wi: Any, wo: Any) -> Float[Array, "..."]:
         """Value in 1/sr without the cosine, [..., *C].

@@ -50,9 +50,21 @@ class Scaled(Material):
         return self.material.delta
 
     @property
+    def smooth(self) -> bool:
+        """See `Material`."""
+        return self.material.smooth
+
+    @property
     def transmits(self) -> bool:
         """See `Material`."""
         return self.material.transmits
+
+    def coherent(self, wo: Array) -> tuple[Sample, ...]:
+        """See `Material`."""
+        return tuple(
+            Sample(s.wi, self._scaled(s.weight, wo.ndim - 1), s.pdf, s.delta)
+            for s in self.material.coherent(wo)
+        )
 
     @property
     def channels(self) -> tuple[int, ...]:
@@ -134,9 +146,25 @@ class Sum(Material):
         return any(part.delta for part in self.parts)
 
     @property
+    def smooth(self) -> bool:
+        """See `Material`."""
+        return any(part.smooth for part in self.parts)
+
+    @property
     def transmits(self) -> bool:
         """See `Material`."""
         return any(part.transmits for part in self.parts)
+
+    def coherent(self, wo: Array) -> tuple[Sample, ...]:
+        """See `Material`."""
+        seen = wo[..., 2] > 0.0
+        found = []
+        for part in self.parts:
+            for sample in part.coherent(wo):
+                weight = sample.weight if part.transmits else mask(seen, sample.weight)
+                weight = _aligned(weight, wo.ndim - 1, self.channels)
+                found.append(Sample(sample.wi, weight, sample.pdf, sample.delta))
+        return tuple(found)
 
     @property
     def channels(self) -> tuple[int, ...]:

@@ -47,6 +47,15 @@ class Mirror(Material):
         return True
 
     @property
+    def smooth(self) -> bool:
+        """See `Material`."""
+        return False
+
+    def coherent(self, wo: Array) -> tuple[Sample, ...]:
+        """See `Material`."""
+        return (self.scatter(wo, wo),)
+
+    @property
     def channels(self) -> tuple[int, ...]:
         """See `Material`."""
         one = jax.ShapeDtypeStruct((), self.wavelengths.dtype)
@@ -111,6 +120,23 @@ class Dielectric(_Interface):
     def delta(self) -> bool:
         """See `Material`."""
         return True
+
+    @property
+    def smooth(self) -> bool:
+        """See `Material`."""
+        return False
+
+    def coherent(self, wo: Array) -> tuple[Sample, ...]:
+        """Reflection, and refraction; that has no weight where reflection is total."""
+        m = relative_index(self.eta, wo)
+        reflected = fresnel.dielectric(jnp.abs(wo[..., 2]), m)
+        one = jnp.ones(reflected.shape, wo.dtype)
+        every = jnp.full(one.shape, True)
+        through = (1.0 - reflected) * _scale(m, self.radiance)
+        return (
+            Sample(reflectance.mirrored(wo), reflected, one, every),
+            Sample(refracted(wo, m), through, one, every),
+        )
 
     def value(self, wi: Array, wo: Array) -> Array:
         """See `Material`."""

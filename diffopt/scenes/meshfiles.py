@@ -174,7 +174,7 @@ def build(
         )
     if uv is not None and not np.isfinite(uv).all():
         raise InputError(f"{name}: texture coordinates are not finite; expected numbers")
-    points, place = _weld(vertices)
+    points, place = weld(vertices)
     longest, height = _heights(points[place[faces]])
     solid = height > _FLAT * longest
     if not solid.any():
@@ -235,7 +235,7 @@ def _texture(part: "Trimesh") -> np.ndarray | None:
     return np.asarray(uv, np.float64)
 
 
-def _weld(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def weld(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Different places among vertices, and the place of each."""
     order = np.lexsort(vertices.T)
     ordered = vertices[order]

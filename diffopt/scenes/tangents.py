@@ -8,8 +8,8 @@ follows from the normal, is then exact between the vertices as well.
 import numpy as np
 from jaxtyping import Float
 
-from diffopt.drawing.meshfiles import Mesh, corner_angles
 from diffopt.errors import InputError
+from diffopt.scenes.meshfiles import Mesh, corner_angles
 
 #: Shortest projection of a field that still says a direction: that of a unit vector 0.06
 #: degrees from the normal, less than a pixel and more than the rounding of a flat face.

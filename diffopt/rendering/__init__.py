@@ -1,0 +1,21 @@
+"""Image synthesis at several levels, from the same shading functions.
+
+===========  ===================================================================
+`synthesis`  a picture of a scene by a level; `settings`: how
+`driver`     tile by tile, in bounded memory
+`direct`     incremental shading and recursive ray tracing
+`pathtrace`  everything, with a standard error
+`shading`    where a ray meets a surface
+`stage`      a scene as arrays: `groups` of materials, `sources` of light
+`standins`   abstract lights in place of all others
+`albedos`    of materials, for even light
+`queries`    what rays meet, asked or recorded
+`images`     pictures; `files`: what they are written to
+===========  ===================================================================
+"""
+
+from diffopt.rendering.images import Image as Image
+from diffopt.rendering.settings import IncrementalSettings as IncrementalSettings
+from diffopt.rendering.settings import PathSettings as PathSettings
+from diffopt.rendering.settings import RecursiveSettings as RecursiveSettings
+from diffopt.rendering.synthesis import render as render

@@ -1,0 +1,191 @@
+"""Pictures tile by tile: camera rays in, means over pixels out, in bounded memory."""
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from diffopt.kernels import uniforms
+from diffopt.rendering import shading
+from diffopt.rendering.images import Image
+from diffopt.rendering.queries import Queries
+from diffopt.rendering.settings import Settings
+from diffopt.rendering.shading import Rays
+from diffopt.rendering.stage import Stage
+from diffopt.scenes import raycasting, world
+from diffopt.scenes.camera import Camera
+from diffopt.scenes.scene import Scene
+
+#: Follows rays: (stage, rays, queries, key) to the rays with what they have collected.
+Level = Callable[[Stage, Rays, Queries, PRNGKeyArray], Rays]
+#: Told (done, of) as tiles are finished.
+Progress = Callable[[int, int], None]
+
+# Samples of a pixel in one pass, at most.
+_TOGETHER = 16
+# Fractions of the golden ratio's generalisation to two dimensions (Roberts 2018): points that
+# fill the square evenly.
+_PLASTIC = 1.32471795724474602596
+
+
+def tiles(camera: Camera, settings: Settings) -> tuple[list[np.ndarray], int]:
+    """Runs of pixels that are treated together, and the samples of a pass."""
+    together = min(settings.spp, _TOGETHER)
+    count = camera.resolution[0] * camera.resolution[1]
+    size = min(max(settings.rays // together, 1), count)
+    return [np.arange(at, min(at + size, count)) for at in range(0, count, size)], together
+
+
+def picture(
+    scene: Scene,
+    camera: Camera,
+    settings: Settings,
+    level: Level,
+    *,
+    even: bool,
+    dtype: Any = "float32",
+    progress: Progress | None = None,
+) -> Image:
+    """Picture of a scene by one level.
+
+    Parameters
+    ----------
+    scene, camera, settings
+        What is rendered, from where, and how.
+    level
+        Follows the rays.
+    even
+        Whether samples lie evenly in the pixel, the same in all; at random otherwise.
+    dtype
+        Floating type of everything but rays.
+    progress
+        Told of the tiles.
+
+    A keyboard interrupt ends the work and keeps the finished tiles; see `Image.done`.
+    """
+    begin = time.perf_counter()
+    stage = Stage(scene, dtype)
+    caster = raycasting.caster(scene.geometry, settings.backend)  # type: ignore[arg-type]
+    key = jax.random.key(settings.seed)
+    runs, together = tiles(camera, settings)
+    size = len(runs[0])
+    image = Image.blank(scene, camera, settings)
+    try:
+        for number, pixels in enumerate(runs):
+            total = np.zeros((size, stage.channels))
+            squares = np.zeros((size, stage.channels))
+            for first in range(0, settings.spp, together):
+                rays = primary(camera, stage, key, pixels, size, first, together, settings, even)
+                rays = level(stage, rays, Queries(caster), key)
+                found = np.asarray(rays.radiance, np.float64).reshape(size, together, -1)
+                found = found[:, : settings.spp - first]
+                total += found.sum(axis=1)
+                squares += (found * found).sum(axis=1)
+            image.fill(pixels, total[: len(pixels)], squares[: len(pixels)], settings.spp)
+            _layers(image, camera, scene, caster, stage, pixels)
+            if progress is not None:
+                progress(number + 1, len(runs))
+    except KeyboardInterrupt:
+        image.interrupted = True
+    image.seconds = time.perf_counter() - begin
+    return image
+
+
+def primary(
+    camera: Camera,
+    stage: Stage,
+    key: PRNGKeyArray,
+    pixels: np.ndarray,
+    size: int,
+    first: int,
+    together: int,
+    settings: Settings,
+    even: bool,
+) -> Rays:
+    """Rays of a pass: `together` samples of each pixel, from number `first` on.
+
+    Arrays have rows for `size` pixels in every pass; what is too many is not alive.
+    """
+    pixel = np.zeros(size, np.uint32)
+    pixel[: len(pixels)] = pixels
+    pixel = np.repeat(pixel, together)
+    sample = np.tile(np.arange(first, first + together, dtype=np.uint32), size)
+    wanted = np.repeat(np.arange(size) < len(pixels), together) & (sample < settings.spp)
+    if even:
+        inside = within_pixel(settings.spp)[np.minimum(sample, settings.spp - 1)]
+    else:
+        inside = _jitter(key, jnp.asarray(pixel), jnp.asarray(sample))
+    origin, along = _rays(*_lens(camera), jnp.asarray(pixel), jnp.asarray(inside, jnp.float32))
+    rays = shading.camera_rays(
+        origin.astype(stage.dtype),
+        along.astype(stage.dtype),
+        stage.channels,
+        stage.dtype,
+        pixel,
+        sample,
+    )
+    return shading.alive(rays, jnp.asarray(wanted))
+
+
+def within_pixel(count: int) -> Float[np.ndarray, "S 2"]:
+    """Places of samples within a pixel: its middle for one, else points that fill it."""
+    if count == 1:
+        return np.full((1, 2), 0.5)
+    step = np.array([1.0 / _PLASTIC, 1.0 / _PLASTIC**2])
+    return (0.5 + np.arange(count)[:, None] * step) % 1.0
+
+
+@jax.jit
+def _jitter(key: PRNGKeyArray, pixel: Array, sample: Array) -> Array:
+    pair = uniforms.at(key, pixel, sample * np.uint32(shading.WORDS))
+    return jnp.stack(pair, -1)
+
+
+def _lens(camera: Camera) -> tuple[Any, ...]:
+    half = math.tan(math.radians(0.5 * camera.field_of_view)) / (0.5 * min(camera.resolution))
+    matrix = jnp.asarray(camera.matrix, jnp.float32)
+    return matrix, jnp.float32(half), jnp.asarray(camera.resolution, jnp.uint32)
+
+
+@jax.jit
+def _rays(
+    matrix: Array, half: Array, resolution: Array, pixel: Array, inside: Array
+) -> tuple[Array, Array]:
+    """As `Camera.rays`, on the device."""
+    columns, rows = resolution[0], resolution[1]
+    size = resolution.astype(jnp.float32)
+    column, row = (pixel % columns).astype(jnp.float32), (pixel // columns).astype(jnp.float32)
+    del rows
+    x = (column + inside[:, 0] - 0.5 * size[0]) * half
+    y = (0.5 * size[1] - row - inside[:, 1]) * half
+    along = x[:, None] * matrix[:3, 0] + y[:, None] * matrix[:3, 1] - matrix[:3, 2]
+    along = along * world.inverse_root(shading.dot(along, along))[:, None]
+    return jnp.broadcast_to(matrix[:3, 3], along.shape), along
+
+
+def _layers(
+    image: Image, camera: Camera, scene: Scene, caster: Any, stage: Stage, pixels: np.ndarray
+) -> None:
+    """Depth, normals and objects at the middle of pixels."""
+    origin, along = camera.rays(pixels)
+    hits = caster.first(origin, along)
+    met = hits.primitive >= 0
+    image.depth.reshape(-1)[pixels] = hits.distance
+    if not met.any():
+        return
+    found = world.surface(
+        scene.geometry.typed("float32"),
+        jnp.asarray(np.maximum(hits.primitive, 0)),
+        jnp.asarray(hits.u),
+        jnp.asarray(hits.v),
+        jnp.asarray(origin + np.where(met, hits.distance, 0.0)[:, None] * along, jnp.float32),
+    )
+    normal = np.asarray(found.normal)
+    normal = np.where((normal * along).sum(-1, keepdims=True) > 0.0, -normal, normal)
+    image.normal.reshape(-1, 3)[pixels] = np.where(met[:, None], normal, 0.0)
+    image.object.reshape(-1)[pixels] = np.where(met, scene.geometry.owner[hits.primitive], -1)

@@ -1,0 +1,200 @@
+"""Path tracing: the whole of the rendering equation, with a stated standard error.
+
+Light is drawn at every surface and met by the paths as well, both weighted by the power
+heuristic (Veach, "Robust Monte Carlo methods for light transport simulation", 1997, sec. 9.2);
+paths end by Russian roulette.
+"""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Int, PRNGKeyArray
+
+from diffopt.kernels import uniforms
+from diffopt.kernels.frames import dot
+from diffopt.materials.base import Sample, mask, times
+from diffopt.rendering import shading
+from diffopt.rendering.groups import Group
+from diffopt.rendering.queries import Queries
+from diffopt.rendering.settings import PathSettings
+from diffopt.rendering.shading import Rays, Shadow
+from diffopt.rendering.sources import Sources
+from diffopt.rendering.stage import Stage
+from diffopt.scenes.raycasting import Hits
+from diffopt.scenes.world import World
+
+# Paths are ended at random from this bounce on.
+_ROULETTE = 4
+#: Most surfaces that light may be scattered at.
+DEEPEST = shading.WORDS // 4 - 2
+# Chance that a path goes on, at most.
+_MOST = 0.95
+
+
+@dataclasses.dataclass(frozen=True)
+class Paths:
+    """Path tracing as a level; see `Level` of `diffopt.rendering.driver`."""
+
+    settings: PathSettings
+
+    def __call__(self, stage: Stage, rays: Rays, queries: Queries, key: PRNGKeyArray) -> Rays:
+        """Follow paths to their end."""
+        return trace(stage, rays, queries, key, self.settings.depth)
+
+
+def trace(stage: Stage, rays: Rays, queries: Queries, key: PRNGKeyArray, depth: int) -> Rays:
+    """Follow paths to their end.
+
+    Parameters
+    ----------
+    stage
+        The scene, prepared.
+    rays
+        As they leave the camera.
+    queries
+        Answers which surfaces they meet.
+    key
+        Of the random numbers; those of a path follow from its words.
+    depth
+        Surfaces that light may be scattered at, at most.
+    """
+    count = rays.origin.shape[0]
+    for bounce in range(depth + 1):
+        hits, alive = queries.first(rays.origin, rays.direction, rays.alive)
+        rays = eqx.tree_at(lambda r: r.alive, rays, jnp.zeros(count, bool))
+        for rows in shading.blocks(alive[hits.primitive[alive] < 0], count):
+            rays = _missed(stage.sources, rays, rows)
+        shadow = shading.no_shadow(count, rays.throughput.shape[1], rays.origin.dtype)
+        for _, group, rows in stage.by_group(alive, hits):
+            for block in shading.blocks(rows, count):
+                rays, shadow = _scatter(
+                    group,
+                    stage.world,
+                    stage.sources,
+                    stage.member,
+                    key,
+                    rays,
+                    shadow,
+                    hits,
+                    block,
+                    jnp.asarray(bounce, jnp.uint32),
+                    jnp.asarray(bounce == depth),
+                    stage.offset,
+                    stage.gradient,
+                )
+        rays = queries.lit(rays, shadow)
+    return rays
+
+
+@eqx.filter_jit
+def _missed(sources: Sources, rays: Rays, rows: Int[Array, " n"]) -> Rays:
+    """Light of the surroundings."""
+    at = jnp.minimum(rows, rays.origin.shape[0] - 1)
+    radiance, density = sources.surrounding(rays.direction[at])
+    weight = shading.heuristic(rays.density[at], density)
+    found = rays.throughput[at] * weight[:, None] * radiance
+    collected = rays.radiance.at[rows].add(found, mode="drop")
+    return eqx.tree_at(lambda r: r.radiance, rays, collected)
+
+
+@eqx.filter_jit
+def _scatter(
+    group: Group,
+    world: World,
+    sources: Sources,
+    member: Array,
+    key: PRNGKeyArray,
+    rays: Rays,
+    shadow: Shadow,
+    hits: Hits,
+    rows: Int[Array, " n"],
+    bounce: Array,
+    last: Array,
+    offset: Array,
+    gradient: bool,
+) -> tuple[Rays, Shadow]:
+    """One bounce of rows of one group: light collected, light drawn, the next direction."""
+    met = shading.meet(group, world, rays, hits, member, rows)
+    at = jnp.minimum(rows, rays.origin.shape[0] - 1)
+    dtype = met.wo.dtype
+    light = met.throughput * shading.emitted(met, sources, rays, rows, drawn=True)
+    first = rays.sample[at] * np.uint32(shading.WORDS) + (bounce + np.uint32(1)) * np.uint32(4)
+    pairs = [uniforms.at(key, rays.pixel[at], first + np.uint32(k)) for k in range(4)]
+    u = [number.astype(dtype) for pair in pairs for number in pair]
+
+    if group.kind.smooth and sources.families:
+        drawn = sources.draw(jnp.stack(u[:4], -1), met.surface.position)
+        towards = jax.lax.stop_gradient(drawn.towards)
+        factor, own = shading.reflected(group, met, towards, densities=True)
+        density = jax.lax.stop_gradient(drawn.density)
+        weight = shading.heuristic(density, jax.lax.stop_gradient(own))
+        value = met.throughput * factor * drawn.value * weight[:, None]
+        value = jnp.where(last, 0.0, value)
+        start = shading.leaving(met.surface, towards, offset)
+        # Up to just before the source itself.
+        length = jnp.maximum(drawn.distance * (1.0 - 1e-4) - 2.0 * offset, 0.0)
+        way = jax.lax.stop_gradient((start, towards, length))
+        shadow = shading.cast(shadow, rows, way, value)
+
+    def scatter(material: Any, u: Array, wo: Array) -> Sample:
+        sample = material.scatter(u, wo)
+        return held(material, sample, wo) if gradient else sample
+
+    sample = group.each(scatter, met.member, met.surface, jnp.stack(u[4:7], -1), met.wo)
+    weight = group.converted(sample.weight)
+    # Ambient light is scattered; perfect mirrors and glass show what is met behind them.
+    even = jnp.where(last | sample.delta, 0.0, 1.0).astype(dtype)
+    light = light + even[:, None] * met.throughput * weight * sources.ambient
+    towards = met.surface.outwards(sample.wi)
+    if not group.transmits:
+        side = jnp.where(met.front, 1.0, -1.0).astype(dtype)
+        above = side * dot(met.surface.geometric, towards) > 0.0
+        weight = jnp.where(above[:, None], weight, 0.0)
+    throughput = met.throughput * weight
+    brightest = jax.lax.stop_gradient(throughput.max(-1))
+    stays = jnp.where(bounce >= _ROULETTE, jnp.minimum(brightest, _MOST), 1.0)
+    lives = (brightest > 0.0) & (u[7] < stays) & ~last
+    throughput = throughput / jnp.where(stays > 0.0, stays, 1.0)[:, None]
+    fixed = jax.lax.stop_gradient((shading.leaving(met.surface, towards, offset), towards))
+    density = jax.lax.stop_gradient(jnp.where(sample.delta, jnp.inf, sample.pdf))
+    rays = Rays(
+        rays.origin.at[rows].set(fixed[0], mode="drop"),
+        rays.direction.at[rows].set(fixed[1], mode="drop"),
+        rays.throughput.at[rows].set(throughput, mode="drop"),
+        rays.density.at[rows].set(density, mode="drop"),
+        rays.radiance.at[rows].add(light, mode="drop"),
+        rays.alive.at[rows].set(lives, mode="drop"),
+        rays.pixel,
+        rays.sample,
+    )
+    return rays, shadow
+
+
+def held(material: Any, sample: Sample, wo: Array) -> Sample:
+    """A sample whose direction and density have no derivative, but whose weight has.
+
+    Its weight is f cos / density with the density held, so that means over directions have
+    the derivative of the integral.
+    """
+    fixed = jax.lax.stop_gradient(sample)
+    smooth = jnp.zeros_like(fixed.weight)
+    if material.smooth:
+        possible = fixed.pdf > 0.0
+        ratio = jnp.where(possible, jnp.abs(fixed.wi[..., 2]), 0.0)
+        ratio = ratio / jnp.where(possible, fixed.pdf, 1.0)
+        smooth = times(ratio, material._reflected(fixed.wi, wo)) + smooth
+    if not material.delta:
+        return Sample(fixed.wi, smooth, fixed.pdf, fixed.delta)
+    total = jnp.zeros_like(fixed.weight)
+    for lobe in material.coherent(wo):
+        off = jax.lax.stop_gradient(lobe.wi) - fixed.wi
+        total = total + mask(dot(off, off) < 1e-6, lobe.weight)
+    known = jax.lax.stop_gradient(total)
+    share = jnp.where(known > 0.0, fixed.weight / jnp.where(known > 0.0, known, 1.0), 0.0)
+    single = fixed.weight + share * (total - known)
+    weight = mask(fixed.delta, single) + mask(~fixed.delta, smooth)
+    return Sample(fixed.wi, weight, fixed.pdf, fixed.delta)

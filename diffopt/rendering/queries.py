@@ -1,0 +1,113 @@
+"""What rays meet: asked of a caster, or taken from a record of what it said.
+
+A record makes an image a differentiable function of the scene at fixed visibility: rays and
+what they meet are constants of it.
+"""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from diffopt.rendering.shading import Rays, Shadow
+from diffopt.scenes.raycasting import Caster, Hits
+
+
+@dataclasses.dataclass
+class Record:
+    """Answers in the order in which they were asked for; see `Queries`."""
+
+    answers: list[Any] = dataclasses.field(default_factory=list)
+
+
+class Queries:
+    """Answers which surfaces rays meet and which lights are hidden.
+
+    Parameters
+    ----------
+    caster
+        Casts the rays; None to repeat a record.
+    record
+        Where answers are kept, or taken from if there is no caster; None to keep none.
+    """
+
+    def __init__(self, caster: Caster | None, record: Record | None = None) -> None:
+        self.caster, self.record = caster, record
+        self._next = 0
+
+    def _answer(self, ask: Any) -> Any:
+        if self.caster is None:
+            assert self.record is not None
+            found = self.record.answers[self._next]
+            self._next += 1
+            return found
+        found = ask()
+        if self.record is not None:
+            self.record.answers.append(found)
+        return found
+
+    def first(
+        self,
+        origin: Float[Array, "N 3"],
+        direction: Float[Array, "N 3"],
+        alive: Bool[Array, " N"],
+    ) -> tuple[Hits, Int[np.ndarray, " n"]]:
+        """What the living rays meet, in arrays [N], and which rays live."""
+
+        def ask() -> tuple[Hits, np.ndarray]:
+            assert self.caster is not None
+            rows = np.flatnonzero(np.asarray(alive))
+            some = self.caster.first(np.asarray(origin)[rows], np.asarray(direction)[rows])
+            blank = Hits(
+                np.full(len(alive), -1, np.int32),
+                np.full(len(alive), np.inf, np.float32),
+                *(np.zeros(len(alive), np.float32) for _ in range(2)),
+            )
+            for whole, part in zip(blank, some, strict=True):
+                whole[rows] = part
+            return blank, rows
+
+        return self._answer(ask)
+
+    def packed(self, waves: list[Rays], count: int) -> list[Rays]:
+        """The living rays of several arrays in as few arrays of `count` as they fill."""
+
+        def ask() -> list[np.ndarray]:
+            alive = np.concatenate([np.asarray(w.alive) for w in waves] or [np.zeros(0, bool)])
+            rows = np.flatnonzero(alive).astype(np.int32)
+            padded = np.full(-(-len(rows) // count) * count, len(alive), np.int32)
+            padded[: len(rows)] = rows
+            return list(padded.reshape(-1, count))
+
+        return [_packed(waves, jnp.asarray(rows)) for rows in self._answer(ask)]
+
+    def lit(self, rays: Rays, shadow: Shadow) -> Rays:
+        """Add the light that nothing hides."""
+
+        def ask() -> np.ndarray:
+            assert self.caster is not None
+            rows = np.flatnonzero(np.asarray(shadow.value).any(axis=1))
+            way = (np.asarray(a)[rows] for a in (shadow.origin, shadow.towards, shadow.length))
+            seen = np.zeros(len(shadow.length), bool)
+            seen[rows] = ~self.caster.blocked(*way)
+            return seen
+
+        return _added(rays, shadow.value, jnp.asarray(self._answer(ask)))
+
+
+@eqx.filter_jit
+def _added(rays: Rays, value: Array, seen: Array) -> Rays:
+    total = rays.radiance + jnp.where(seen[:, None], value, 0.0)
+    return eqx.tree_at(lambda r: r.radiance, rays, total)
+
+
+@eqx.filter_jit
+def _packed(waves: list[Rays], rows: Int[Array, " N"]) -> Rays:
+    whole = jax.tree.map(lambda *arrays: jnp.concatenate(arrays), *waves)
+    total = whole.alive.shape[0]
+    out = jax.tree.map(lambda a: a[jnp.minimum(rows, total - 1)], whole)
+    return eqx.tree_at(lambda r: r.alive, out, rows < total)

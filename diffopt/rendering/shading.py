@@ -1,0 +1,248 @@
+"""What every level of image synthesis does where a ray meets a surface.
+
+The state of many rays is kept in arrays of one length N; a program treats the rows of one
+group of materials, padded to a block, so that each group is compiled once. Rows beyond N are
+padding.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, UInt32
+
+from diffopt.kernels.frames import dot
+from diffopt.rendering.groups import Group
+from diffopt.rendering.sources import Sources, Surfaces
+from diffopt.scenes import world
+from diffopt.scenes.raycasting import Hits
+from diffopt.scenes.world import Surface, World
+
+#: Rows of one call.
+BLOCK = 8192
+#: Counters of random numbers that a path has: four for each bounce, and four for the camera.
+WORDS = 4096
+
+
+class Rays(eqx.Module):
+    """Rays on their way.
+
+    Attributes
+    ----------
+    origin, direction
+        [N, 3].
+    throughput
+        Share of the light from their direction that reaches the camera, [N, C].
+    density
+        With which their direction was drawn, per steradian, [N]; infinite where it was not.
+    radiance
+        What they have collected, [N, C].
+    alive
+        Whether they go on, [N].
+    pixel, sample
+        Words that their random numbers follow from, [N].
+    """
+
+    origin: Float[Array, "N 3"]
+    direction: Float[Array, "N 3"]
+    throughput: Float[Array, "N C"]
+    density: Float[Array, " N"]
+    radiance: Float[Array, "N C"]
+    alive: Bool[Array, " N"]
+    pixel: UInt32[Array, " N"]
+    sample: UInt32[Array, " N"]
+
+
+class Shadow(eqx.Module):
+    """Light that arrives if nothing is in its way.
+
+    Attributes
+    ----------
+    origin, towards, length
+        The way, [N, 3], [N, 3], [N].
+    value
+        What arrives at the camera, [N, C].
+    """
+
+    origin: Float[Array, "N 3"]
+    towards: Float[Array, "N 3"]
+    length: Float[Array, " N"]
+    value: Float[Array, "N C"]
+
+
+class Meeting(eqx.Module):
+    """Where rows of rays meet surfaces of one group.
+
+    Attributes
+    ----------
+    surface
+        As the viewer sees it.
+    wo
+        Direction to the viewer in the material's frame, [n, 3].
+    front
+        Whether he sees the front, [n].
+    member
+        Of the group, [n].
+    primitive, distance
+        What was met, and how far away, [n].
+    throughput
+        Of the rays, [n, C].
+    """
+
+    surface: Surface
+    wo: Float[Array, "n 3"]
+    front: Bool[Array, " n"]
+    member: Int[Array, " n"]
+    primitive: Int[Array, " n"]
+    distance: Float[Array, " n"]
+    throughput: Float[Array, "n C"]
+
+
+def camera_rays(
+    origin: Any, direction: Any, channels: int, dtype: Any, pixel: Any = None, sample: Any = None
+) -> Rays:
+    """Rays as they leave the camera."""
+    count = len(origin)
+    none = np.zeros(count, np.uint32)
+    return Rays(
+        jnp.asarray(origin, dtype),
+        jnp.asarray(direction, dtype),
+        jnp.ones((count, channels), dtype),
+        jnp.full(count, jnp.inf, dtype),
+        jnp.zeros((count, channels), dtype),
+        jnp.full(count, True),
+        jnp.asarray(none if pixel is None else pixel),
+        jnp.asarray(none if sample is None else sample),
+    )
+
+
+def alive(rays: Rays, which: Bool[Array, " N"]) -> Rays:
+    """The rays, of which only some go on."""
+    return eqx.tree_at(lambda r: r.alive, rays, which)
+
+
+def dead(rays: Rays) -> Rays:
+    """As many rays that are not alive and have collected nothing."""
+    return eqx.tree_at(
+        lambda r: (r.alive, r.radiance),
+        rays,
+        (jnp.zeros_like(rays.alive), jnp.zeros_like(rays.radiance)),
+    )
+
+
+def cast(
+    shadow: Shadow,
+    rows: Int[Array, " n"],
+    way: tuple[Array, Array, Array],
+    value: Float[Array, "n C"],
+) -> Shadow:
+    """Put light of rows into a `Shadow`: the way to it, and what arrives."""
+    wholes = shadow.origin, shadow.towards, shadow.length, shadow.value
+    parts = (*way, value)
+    return Shadow(*(w.at[rows].set(p, mode="drop") for w, p in zip(wholes, parts, strict=True)))
+
+
+def no_shadow(count: int, channels: int, dtype: Any) -> Shadow:
+    """Nothing that could be shaded."""
+    return Shadow(
+        jnp.zeros((count, 3), dtype),
+        jnp.zeros((count, 3), dtype).at[:, 2].set(1.0),
+        jnp.zeros(count, dtype),
+        jnp.zeros((count, channels), dtype),
+    )
+
+
+def blocks(rows: Int[np.ndarray, " n"], count: int) -> list[Int[Array, " B"]]:
+    """Numbers of rows in blocks of `BLOCK` (or all N where there are fewer), padded with N."""
+    size = min(BLOCK, count)
+    padded = np.full(-(-len(rows) // size) * size, count, np.int32)
+    padded[: len(rows)] = rows
+    return [jnp.asarray(block) for block in padded.reshape(-1, size)]
+
+
+def meet(
+    group: Group, scene: World, rays: Rays, hits: Hits, member: Array, rows: Int[Array, " n"]
+) -> Meeting:
+    """Where some of the rays meet surfaces of a group."""
+    at = jnp.minimum(rows, rays.origin.shape[0] - 1)
+    primitive, distance = hits.primitive[at], hits.distance[at]
+    # Padding may have met nothing.
+    primitive = jnp.maximum(primitive, 0)
+    distance = jnp.where(jnp.isfinite(distance), distance, 0.0).astype(rays.origin.dtype)
+    direction = rays.direction[at]
+    reached = rays.origin[at] + distance[:, None] * direction
+    u, v = (a[at].astype(direction.dtype) for a in (hits.u, hits.v))
+    found = world.surface(scene, primitive, u, v, reached)
+    seen, front = world.facing(found, -direction, both=group.transmits)
+    wo = seen.local(-direction)
+    return Meeting(seen, wo, front, member[primitive], primitive, distance, rays.throughput[at])
+
+
+def emitted(
+    met: Meeting, sources: Sources, rays: Rays, rows: Array, *, drawn: bool
+) -> Float[Array, "n C"]:
+    """Radiance that the surfaces emit towards the viewer.
+
+    Parameters
+    ----------
+    met
+        Where rays meet them.
+    sources
+        The lights.
+    rays, rows
+        All rays, and which of them.
+    drawn
+        Whether the light was drawn as well, at the surface before: it then gets the rest of
+        the weight, by the power heuristic of Veach (1997).
+    """
+    family, chance = sources.family(Surfaces)
+    if family is None:
+        return jnp.zeros_like(met.throughput)
+    entry = sources.entry[met.primitive]
+    index = jnp.maximum(entry, 0)
+    lit = (entry >= 0) & met.front
+    weight = lit.astype(met.wo.dtype)
+    if drawn:
+        at = jnp.minimum(rows, rays.origin.shape[0] - 1)
+        own = rays.density[at]
+        towards = rays.direction[at]
+        cos = -dot(towards, met.surface.geometric)
+        other = chance * family.density(index, rays.origin[at], towards, met.distance, cos)
+        weight = weight * heuristic(own, other)
+    return weight[:, None] * family.radiance[index]
+
+
+def heuristic(own: Array, other: Array) -> Array:
+    """Weight of one way to draw a direction beside another one: squares of their densities."""
+    certain = jnp.isinf(own)
+    ratio = other / jnp.where(certain | (own <= 0.0), 1.0, own)
+    return jnp.where(certain, 1.0, 1.0 / (1.0 + ratio * ratio))
+
+
+def reflected(
+    group: Group, met: Meeting, towards: Float[Array, "n 3"], *, densities: bool
+) -> tuple[Float[Array, "n C"], Float[Array, " n"]]:
+    """F times the cosine for light from directions in the world, and the density of sampling.
+
+    Light from below the shape itself is left out, also where the interpolated normal faces it.
+    """
+    wi = met.surface.local(towards)
+
+    def one(material: Any, wi: Array, wo: Array) -> Any:
+        value = material._reflected(wi, wo)
+        return value, material.density(wi, wo) if densities else wi[..., 2]
+
+    value, density = group.each(one, met.member, met.surface, wi, met.wo)
+    value = group.converted(value) * jnp.abs(wi[:, 2:])
+    if not group.transmits:
+        side = jnp.where(met.front, 1.0, -1.0).astype(wi.dtype)
+        above = side * dot(met.surface.geometric, towards) > 0.0
+        value = jnp.where(above[:, None], value, 0.0)
+    return value, density
+
+
+def leaving(surface: Surface, towards: Float[Array, "n 3"], offset: Any) -> Float[Array, "n 3"]:
+    """Where rays leave a surface: just above it on their side."""
+    side = jnp.where(dot(surface.geometric, towards) >= 0.0, offset, -offset)
+    return surface.position + side.astype(towards.dtype)[:, None] * surface.geometric

@@ -1,0 +1,87 @@
+"""A scene prepared for rendering: shapes, materials and lights as arrays of one type."""
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from diffopt.rendering import sources
+from diffopt.rendering.groups import Group, grouped
+from diffopt.rendering.sources import Sources
+from diffopt.scenes import raycasting
+from diffopt.scenes.raycasting import Hits
+from diffopt.scenes.scene import Scene
+from diffopt.scenes.world import World
+
+
+@dataclasses.dataclass(frozen=True, init=False, eq=False)
+class Stage:
+    """What rays are traced in.
+
+    Attributes
+    ----------
+    world
+        The shapes.
+    groups
+        The materials.
+    group, member
+        Of each primitive, [P].
+    sources
+        The lights.
+    offset
+        How far from a surface rays leave it.
+    gradient
+        Whether derivatives will be taken: directions and their densities are held fixed then.
+    """
+
+    world: World
+    groups: tuple[Group, ...]
+    group: Int[np.ndarray, " P"]
+    member: Int[Array, " P"]
+    sources: Sources
+    offset: Float[Array, ""]
+    gradient: bool
+
+    def __init__(self, scene: Scene, dtype: Any = "float32", *, gradient: bool = False) -> None:
+        """Prepare a scene; differentiable in its arrays."""
+        geometry = scene.geometry
+        found = grouped(scene, dtype)
+        owner = geometry.owner
+        group = np.asarray(found.group, np.int32)[owner] if len(owner) else owner
+        member = np.asarray(found.member, np.int32)[owner] if len(owner) else owner
+        fields = {
+            "world": geometry.typed(dtype),
+            "groups": found.groups,
+            "group": group,
+            "member": jnp.asarray(member),
+            "sources": sources.gather(scene, dtype),
+            "offset": jnp.asarray(raycasting.OFFSET * geometry.radius, dtype),
+            "gradient": gradient,
+        }
+        for name, value in fields.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def channels(self) -> int:
+        """Number of the scene's channels."""
+        return self.sources.ambient.shape[0]
+
+    @property
+    def dtype(self) -> Any:
+        """Floating type."""
+        return self.offset.dtype
+
+    def by_group(
+        self, rows: Int[np.ndarray, " n"], hits: Hits
+    ) -> Iterator[tuple[int, Group, Int[np.ndarray, " m"]]]:
+        """Number of a group, the group, and rows whose rays meet its surfaces."""
+        met = hits.primitive[rows]
+        rows, met = rows[met >= 0], met[met >= 0]
+        kinds = self.group[met]
+        for k, group in enumerate(self.groups):
+            here = rows[kinds == k]
+            if len(here):
+                yield k, group, here

@@ -1,0 +1,86 @@
+"""The entry point: a picture of a scene by one of the levels of image synthesis."""
+
+import dataclasses
+from typing import Any
+
+from diffopt import checks
+from diffopt.errors import InputError
+from diffopt.rendering import driver
+from diffopt.rendering.direct import Direct
+from diffopt.rendering.images import Image
+from diffopt.rendering.pathtrace import Paths
+from diffopt.rendering.settings import (
+    IncrementalSettings,
+    PathSettings,
+    RecursiveSettings,
+    Settings,
+)
+from diffopt.scenes.camera import Camera
+from diffopt.scenes.scene import Scene
+
+#: Levels by name, and their settings.
+LEVELS: dict[str, type[Settings]] = {
+    kind.level: kind for kind in (IncrementalSettings, RecursiveSettings, PathSettings)
+}
+
+
+def render(
+    scene: Scene,
+    camera: Camera,
+    level: str = "path",
+    *,
+    settings: Settings | None = None,
+    dtype: Any = "float32",
+    progress: driver.Progress | None = None,
+    **options: Any,
+) -> Image:
+    """Render a scene.
+
+    Parameters
+    ----------
+    scene, camera
+        What, and from where.
+    level
+        ``"incremental"``: direct light of abstract sources, unshadowed unless asked for.
+        ``"recursive"``: with shadows, mirrors and glass. ``"path"``: everything, with noise
+        of a stated standard error: the reference for the others.
+    settings
+        Of the level, instead of `level` and options.
+    dtype
+        "float32" or "float64" (where JAX has it enabled).
+    progress
+        Called with (tiles done, tiles in all).
+    **options
+        Fields of the level's settings, such as ``spp=256`` or ``seed=1``.
+
+    Returns
+    -------
+    Image
+        Radiance, standard error, depth, normals. A keyboard interrupt keeps what is finished.
+
+    Raises
+    ------
+    InputError
+        For another level, or an option that its settings do not have.
+    """
+    chosen = chosen_settings(level, options) if settings is None else settings
+    if settings is not None and options:
+        raise InputError(f"give settings or options, not both; received {', '.join(options)}")
+    if isinstance(chosen, PathSettings):
+        follow: driver.Level = Paths(chosen)
+    elif isinstance(chosen, IncrementalSettings):
+        follow = Direct(chosen)
+    else:
+        raise InputError(f"settings must be those of a level; received {type(chosen).__name__}")
+    even = not isinstance(chosen, PathSettings)
+    return driver.picture(scene, camera, chosen, follow, even=even, dtype=dtype, progress=progress)
+
+
+def chosen_settings(level: str, options: dict[str, Any]) -> Settings:
+    """Settings of a level from its name and options."""
+    kind = LEVELS[checks.choice("level", level, tuple(LEVELS))]
+    known = [field.name for field in dataclasses.fields(kind)]
+    for name in options:
+        if name not in known:
+            raise InputError(f"{level} has no setting {name}; it has {', '.join(known)}")
+    return kind(**options)
