@@ -12,6 +12,7 @@ Each row of the Jacobian is a lobe times a polynomial: all of them cost little m
 residual. One problem at a time; batches by ``jax.vmap``.
 """
 
+import functools
 import math
 from typing import Any, NamedTuple
 
@@ -137,20 +138,24 @@ def residuals(
     tail = -jnp.expm1(-4.0 * kappa)
     peak = jnp.sqrt(kappa / (math.pi * tail))
     shape = peak[:, None] * (jnp.exp(-falls) * given.root[None])
-    lobe = (at.weight if signed else jnp.exp(at.weight))[:, None] * shape
     # Slope of log peak in log kappa.
     rise = 0.5 * (1.0 - 4.0 * kappa * (1.0 - tail) / tail)
-    rows = jnp.stack(
-        [
-            shape if signed else lobe,
-            lobe * (rise[:, None] - falls),
-            *(
-                lobe * (d[0] * t[:, 0, None] + d[1] * t[:, 1, None] + d[2] * t[:, 2, None])
-                for t in turns
-            ),
-        ]
+    # All rows are one expression, (a - b falls + t . d) shape: stacked from four, each of their
+    # values would be picked by a branch.
+    weight = at.weight if signed else jnp.exp(at.weight)
+    one, none = jnp.ones_like(weight), jnp.zeros_like(weight)
+    constant = jnp.stack([one if signed else weight, weight * rise, none, none])
+    falling = jnp.stack([none, weight, none, none])
+    still = jnp.zeros_like(mu)
+    turning = jnp.stack([still, still, *(weight[:, None] * turn for turn in turns)])
+    rows = shape[None] * (
+        constant[..., None]
+        - falling[..., None] * falls[None]
+        + sum(turning[..., i, None] * d[i][None] for i in range(3))
     )
-    return lobe.sum(0) - given.target, rows.reshape(-1, given.root.shape[0])
+    # Written out: as a reduction it was handed to a library, for 100 instead of 2 microseconds.
+    together = functools.reduce(jnp.add, list(weight[:, None] * shape))
+    return together - given.target, rows.reshape(-1, given.root.shape[0])
 
 
 class System(NamedTuple):
@@ -164,7 +169,8 @@ class System(NamedTuple):
 def normal_equations(residual: Float[Array, " N"], rows: Float[Array, "P N"]) -> System:
     """The normal equations of residuals and the rows of their derivatives."""
     exact = jax.lax.Precision.HIGHEST
-    matrix = jnp.matmul(rows, rows.T, precision=exact)
+    # Along the nodes of both: with rows.T a batch of one is copied, and takes twice as long.
+    matrix = jax.lax.dot_general(rows, rows, (((1,), (1,)), ((), ())), precision=exact)
     return System(matrix, jnp.matmul(rows, residual, precision=exact), (residual * residual).sum())
 
 
@@ -177,8 +183,8 @@ def damped_step(
     nothing depends on (the weight of a lobe that has vanished).
     """
     ridge = 1e-6 if damping.dtype == jnp.float32 else 1e-9
-    diagonal = jnp.diagonal(system.matrix)
-    matrix = system.matrix + jnp.diag(damping * diagonal + ridge)
+    unit = jnp.eye(system.slope.shape[0], dtype=damping.dtype)
+    matrix = system.matrix * (1.0 + damping * unit) + ridge * unit
     factor = jax.lax.linalg.cholesky(matrix, symmetrize_input=False)
     step = jax.lax.linalg.triangular_solve(
         factor, -system.slope[:, None], left_side=True, lower=True
