@@ -22,7 +22,7 @@ from diffopt.fitting import rivals
 from diffopt.fitting.lobe_settings import LobeSettings
 from diffopt.fitting.lobe_table import LobeComparison, Row
 from diffopt.fitting.lobe_targets import slices
-from diffopt.fitting.lobes import Nodes, fit_nodes, members
+from diffopt.fitting.lobes import Nodes, fit_bytes, fit_nodes, members
 from diffopt.kernels import mixture, vmf
 from diffopt.materials.base import Material
 from diffopt.materials.phong import BlinnPhong
@@ -211,6 +211,7 @@ class _Job:
             single_s=alone / len(one),
             steps=_mean(fitted.steps),
             success=_mean(fitted.settled),
+            memory_bytes=fit_bytes(self.nodes, count, settings, key),
             note=steps + (f", {settings.rounds} rounds at most" if settings.rounds > 1 else ""),
         )
 

@@ -32,7 +32,8 @@ class Row:
     steps, success
         Mean steps; share of slices that the solver calls done, None where it does not say.
     memory_bytes
-        Arguments, results and temporaries of the batch; None where not known.
+        Arguments, results and temporaries of the program that fits the batch (of several, the
+        largest); None where not known, as for SciPy.
     ratio, single_ratio
         Of rows "em+lm to RIVAL": the rival's time over this one's, in a batch and alone.
     rival
@@ -87,7 +88,7 @@ class LobeComparison:
         left = ("method", "settings")
         titles = (
             "lobes", "method", "type", "error", "worst", "energy", "log lik.", "batch", "+-",
-            "alone", "compile", "steps", "done", "times", "settings",
+            "alone", "compile", "memory", "steps", "done", "times", "settings",
         )  # fmt: skip
         for title in titles:
             table.add_column(title, justify="left" if title in left else "right")
@@ -105,6 +106,7 @@ class LobeComparison:
                 printing.seconds(row.spread_s),
                 printing.seconds(row.single_s),
                 printing.seconds(row.compile_s),
+                "" if row.memory_bytes is None else printing.megabytes(row.memory_bytes),
                 f"{row.steps:.3g}",
                 "" if row.success is None else f"{row.success:.0%}",
                 faster,

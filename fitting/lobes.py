@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from diffopt import checks
+from diffopt.accuracy.measurement import peak_bytes
 from diffopt.brdf_lobes import BRDFLobes
 from diffopt.errors import InputError
 from diffopt.fitting.lobe_settings import LobeSettings
@@ -168,6 +169,23 @@ def fit_nodes(
     steps = np.full(gain.shape, _steps(method, settings, begun))
     found = _rounds(nodes, found, gain, steps, settings)
     return _finish(nodes, found, jnp.asarray(gain), jnp.asarray(steps), method, settings)
+
+
+def fit_bytes(nodes: Nodes, lobes: int, settings: LobeSettings, key: PRNGKeyArray) -> int | None:
+    """Memory of a fit by ``em+lm``: arguments, results and temporaries of its largest program.
+
+    Rounds after the first take no more: the same steps for no more functions. Programs that a
+    fit has compiled are not compiled again. None where the backend does not say.
+    """
+    static = lobes, "em+lm", settings
+    if settings.rounds == 1:
+        return peak_bytes(_whole.lower(nodes, key, None, *static).compile())
+    first = _fit.lower(nodes, key, None, *static)
+    found, gain = first.out_info
+    steps = jax.ShapeDtypeStruct(gain.shape, jnp.asarray(0).dtype)
+    last = _finish.lower(nodes, found, gain, steps, *static[1:])
+    sizes = [peak_bytes(each.compile()) for each in (first, last)]
+    return None if None in sizes else max(size for size in sizes if size is not None)
 
 
 @partial(jax.jit, static_argnames=_STATIC)
@@ -321,7 +339,8 @@ def _finish(
             alpha = lobe_squares.restored(alpha, wanted, mu, kappa, signed=signed)
         directions, solid, values = other
         density = vmf.pdf(directions[None], mu[:, None], kappa[:, None])
-        missed = jnp.tensordot(density, alpha, ((0,), (0,)), precision="highest") - values
+        # Directions innermost: the other way round the density is copied first.
+        missed = jnp.matmul(alpha.T, density, precision="highest").T - values
         square = (solid[:, None] * missed**2).sum() / (solid[:, None] * values**2).sum()
         return alpha, jnp.sqrt(square), jnp.abs(off).max()
 

@@ -70,16 +70,20 @@ def compile_ahead(function: Callable[..., Any], *arguments: Any) -> Program:
     compiled = jax.jit(function).lower(*arguments).compile()
     seconds = time.perf_counter() - start
     costs = compiled.cost_analysis() or {}
+    return Program(compiled, seconds, costs.get("flops"), peak_bytes(compiled))
+
+
+def peak_bytes(compiled: Any) -> int | None:
+    """Arguments, results and temporaries of a compiled program; None where it does not say."""
     memory = compiled.memory_analysis()
-    peak = None
-    if memory is not None:
-        peak = (
-            memory.argument_size_in_bytes
-            + memory.output_size_in_bytes
-            + memory.temp_size_in_bytes
-            - memory.alias_size_in_bytes
-        )
-    return Program(compiled, seconds, costs.get("flops"), peak)
+    if memory is None:
+        return None
+    return (
+        memory.argument_size_in_bytes
+        + memory.output_size_in_bytes
+        + memory.temp_size_in_bytes
+        - memory.alias_size_in_bytes
+    )
 
 
 def value_and_gradient(function: Callable[..., Any], argument: int) -> Callable[..., Any]:

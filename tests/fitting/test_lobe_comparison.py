@@ -1,14 +1,18 @@
 """The comparison of lobe fits: what its rows say is so, and its files come back."""
 
 import csv
+import dataclasses
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import diffopt as do
 from diffopt.errors import InputError
 from diffopt.fitting import LobeSettings, comparison, rivals
+from diffopt.fitting.lobe_targets import slices
+from diffopt.fitting.lobes import fit_bytes, fit_nodes
 
 METHODS = ("em-50", "em+lm", "normal-lm", "scipy-trf")
 # Each number of steps is a program of its own: the default ones alone.
@@ -48,6 +52,27 @@ def test_em_gains_likelihood_and_keeps_energy(found):
     assert found.row("em-50", 2).likelihood > found.row("em+lm", 2).likelihood
     # EM keeps the integral, least squares does not.
     assert found.row("em-50", 2).energy < 1e-3 < found.row("em+lm", 2).energy
+
+
+def test_memory_holds_at_least_the_slices(found):
+    """Two of 32 x 48 nodes with direction, solid angle and value, float32, and a Jacobian."""
+    values = 2 * 32 * 48 * 5 * 4
+    for method in ("em-50", "em+lm", "normal-lm", "em+lm to scipy-trf"):
+        assert found.row(method, 2).memory_bytes > values, method
+    # EM has no Jacobian of 8 parameters.
+    assert found.row("em+lm", 2).memory_bytes > values + 8 * 32 * 48 * 4
+    assert found.row("scipy-trf", 2).memory_bytes is None
+
+
+def test_memory_of_a_fit_in_rounds_is_that_of_its_largest_program():
+    key, few = jax.random.key(0), LobeSettings(rings=8, sectors=8)
+    wo = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8]])
+    nodes = slices(do.BlinnPhong(exponent=8.0), jnp.asarray(wo), few)
+    once = fit_bytes(nodes, 2, few, key)
+    rounds = dataclasses.replace(few, rounds=3)
+    fit_nodes(nodes, 2, settings=rounds, key=key)
+    size = sum(leaf.nbytes for leaf in jax.tree.leaves(nodes))
+    assert size < fit_bytes(nodes, 2, rounds, key) <= 2 * once
 
 
 def test_table_and_files(found, tmp_path):
