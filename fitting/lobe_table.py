@@ -133,7 +133,9 @@ class LobeComparison:
         for index, count in enumerate(dict.fromkeys(row.lobes for row in shown)):
             for row in (r for r in shown if r.lobes == count):
                 axes.plot(row.time_s * 1e6, row.error, markers[row.method], color=f"C{index}", ms=7)
-            axes.plot([], [], "s", color=f"C{index}", label=f"{count} lobes")
+            word = "lobe" if count == 1 else "lobes"
+            # A bar: each marker stands for a method.
+            axes.plot([], [], "-", lw=6, color=f"C{index}", label=f"{count} {word}")
         for method, marker in markers.items():
             axes.plot([], [], marker, color="0.4", label=method)
         axes.set(
