@@ -9,7 +9,7 @@
 `stage`      a scene as arrays: `groups` of materials, `sources` of light
 `standins`   abstract lights in place of all others
 `albedos`    of materials, for even light
-`queries`    what rays meet, asked or recorded
+`queries`    what rays meet, asked or recorded; `recording`: for derivatives
 `images`     pictures; `files`: what they are written to
 ===========  ===================================================================
 """
@@ -18,4 +18,5 @@ from diffopt.rendering.images import Image as Image
 from diffopt.rendering.settings import IncrementalSettings as IncrementalSettings
 from diffopt.rendering.settings import PathSettings as PathSettings
 from diffopt.rendering.settings import RecursiveSettings as RecursiveSettings
+from diffopt.rendering.synthesis import record as record
 from diffopt.rendering.synthesis import render as render

@@ -78,7 +78,7 @@ class Direct:
             if self.ambient is not None:
                 extra = jnp.asarray(self.ambient, stage.dtype)
                 lights = eqx.tree_at(lambda s: s.ambient, lights, lights.ambient + extra)
-            needed = stage.gradient or bool(np.asarray(lights.ambient).any())
+            needed = stage.held is not None or bool(np.asarray(lights.ambient).any())
             tables = [albedos(group) if needed else None for group in stage.groups]
             self._prepared = stage, lights, tables
         return self._prepared[1:]
@@ -93,7 +93,7 @@ class Direct:
     ) -> tuple[Rays, list[Rays]]:
         """What rays of one depth collect, and the rays that follow from them."""
         count, channels = rays.throughput.shape
-        hits, alive = queries.first(rays.origin, rays.direction, rays.alive)
+        rays, hits, alive = queries.first(rays)
         for rows in shading.blocks(alive[hits.primitive[alive] < 0], count):
             rays = _missed(stage.sources, rays, rows)
         parts, born = [], []

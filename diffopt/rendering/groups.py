@@ -62,6 +62,7 @@ class Group(eqx.Module):
         member: Int[Array, " n"],
         surface: Surface,
         *rows: Array,
+        beside: "Group | None" = None,
     ) -> Any:
         """A function of a material and rows, with the material of each row.
 
@@ -75,14 +76,22 @@ class Group(eqx.Module):
             Where the rows lie, for textures.
         rows
             Arrays [n, ...].
+        beside
+            The same group with other numbers, whose material the function takes second.
         """
+        groups = [self] if beside is None else [self, beside]
+        materials, axes = zip(*(one._at(member, surface) for one in groups), strict=True)
+        if all(axis is None for axis in axes):
+            return function(*materials, *rows)
+        return jax.vmap(function, in_axes=(*axes, *(0 for _ in rows)))(*materials, *rows)
+
+    def _at(self, member: Array, surface: Surface) -> tuple[Any, Any]:
+        """The material of each row, and which of its arrays have an axis for the rows."""
         if isinstance(self.material, Textured):
-            material, axes = self.material.at(surface.uv, surface.element)
-        elif self.stacked:
-            material, axes = jax.tree.map(lambda a: a[member], self.material), 0
-        else:
-            return function(self.material, *rows)
-        return jax.vmap(function, in_axes=(axes, *(0 for _ in rows)))(material, *rows)
+            return self.material.at(surface.uv, surface.element)
+        if self.stacked:
+            return jax.tree.map(lambda a: a[member], self.material), 0
+        return self.material, None
 
     def converted(self, values: Float[Array, "n ..."]) -> Float[Array, "n C"]:
         """Values [n], [n, 1] or [n, c] as channels of the scene."""

@@ -64,12 +64,12 @@ def trace(stage: Stage, rays: Rays, queries: Queries, key: PRNGKeyArray, depth: 
     """
     count = rays.origin.shape[0]
     for bounce in range(depth + 1):
-        hits, alive = queries.first(rays.origin, rays.direction, rays.alive)
-        rays = eqx.tree_at(lambda r: r.alive, rays, jnp.zeros(count, bool))
+        rays, hits, alive = queries.first(rays)
+        rays = shading.alive(rays, jnp.zeros(count, bool))
         for rows in shading.blocks(alive[hits.primitive[alive] < 0], count):
             rays = _missed(stage.sources, rays, rows)
         shadow = shading.no_shadow(count, rays.throughput.shape[1], rays.origin.dtype)
-        for _, group, rows in stage.by_group(alive, hits):
+        for number, group, rows in stage.by_group(alive, hits):
             for block in shading.blocks(rows, count):
                 rays, shadow = _scatter(
                     group,
@@ -84,7 +84,7 @@ def trace(stage: Stage, rays: Rays, queries: Queries, key: PRNGKeyArray, depth: 
                     jnp.asarray(bounce, jnp.uint32),
                     jnp.asarray(bounce == depth),
                     stage.offset,
-                    stage.gradient,
+                    None if stage.held is None else stage.held[number],
                 )
         rays = queries.lit(rays, shadow)
     return rays
@@ -115,7 +115,7 @@ def _scatter(
     bounce: Array,
     last: Array,
     offset: Array,
-    gradient: bool,
+    held: Group | None,
 ) -> tuple[Rays, Shadow]:
     """One bounce of rows of one group: light collected, light drawn, the next direction."""
     met = shading.meet(group, world, rays, hits, member, rows)
@@ -128,10 +128,11 @@ def _scatter(
 
     if group.kind.smooth and sources.families:
         drawn = sources.draw(jnp.stack(u[:4], -1), met.surface.position)
-        towards = jax.lax.stop_gradient(drawn.towards)
-        factor, own = shading.reflected(group, met, towards, densities=True)
-        density = jax.lax.stop_gradient(drawn.density)
-        weight = shading.heuristic(density, jax.lax.stop_gradient(own))
+        towards = drawn.towards
+        factor, own = shading.reflected(group, met, towards, densities=held is None)
+        if held is not None:
+            _, own = shading.reflected(held, met, towards, densities=True)
+        weight = jax.lax.stop_gradient(shading.heuristic(drawn.density, own))
         value = met.throughput * factor * drawn.value * weight[:, None]
         value = jnp.where(last, 0.0, value)
         start = shading.leaving(met.surface, towards, offset)
@@ -140,11 +141,8 @@ def _scatter(
         way = jax.lax.stop_gradient((start, towards, length))
         shadow = shading.cast(shadow, rows, way, value)
 
-    def scatter(material: Any, u: Array, wo: Array) -> Sample:
-        sample = material.scatter(u, wo)
-        return held(material, sample, wo) if gradient else sample
-
-    sample = group.each(scatter, met.member, met.surface, jnp.stack(u[4:7], -1), met.wo)
+    draw = _drawn if held is None else _held
+    sample = group.each(draw, met.member, met.surface, jnp.stack(u[4:7], -1), met.wo, beside=held)
     weight = group.converted(sample.weight)
     # Ambient light is scattered; perfect mirrors and glass show what is met behind them.
     even = jnp.where(last | sample.delta, 0.0, 1.0).astype(dtype)
@@ -156,7 +154,9 @@ def _scatter(
         weight = jnp.where(above[:, None], weight, 0.0)
     throughput = met.throughput * weight
     brightest = jax.lax.stop_gradient(throughput.max(-1))
-    stays = jnp.where(bounce >= _ROULETTE, jnp.minimum(brightest, _MOST), 1.0)
+    # With derivatives all paths go on, so that their chance is no function of the scene.
+    first = _ROULETTE if held is None else np.uint32(2**31)
+    stays = jnp.where(bounce >= first, jnp.minimum(brightest, _MOST), 1.0)
     lives = (brightest > 0.0) & (u[7] < stays) & ~last
     throughput = throughput / jnp.where(stays > 0.0, stays, 1.0)[:, None]
     fixed = jax.lax.stop_gradient((shading.leaving(met.surface, towards, offset), towards))
@@ -174,27 +174,30 @@ def _scatter(
     return rays, shadow
 
 
-def held(material: Any, sample: Sample, wo: Array) -> Sample:
-    """A sample whose direction and density have no derivative, but whose weight has.
+def _drawn(material: Any, u: Array, wo: Array) -> Sample:
+    return material.scatter(u, wo)
 
-    Its weight is f cos / density with the density held, so that means over directions have
-    the derivative of the integral.
+
+def _held(material: Any, held: Any, u: Array, wo: Array) -> Sample:
+    """A sample as another material drew it, with the weight that it has for this one.
+
+    Its weight is f cos / density with the density of the other, so that means over directions
+    have the derivative of the integral.
     """
-    fixed = jax.lax.stop_gradient(sample)
-    smooth = jnp.zeros_like(fixed.weight)
+    drawn = held.scatter(u, wo)
+    smooth = jnp.zeros_like(drawn.weight)
     if material.smooth:
-        possible = fixed.pdf > 0.0
-        ratio = jnp.where(possible, jnp.abs(fixed.wi[..., 2]), 0.0)
-        ratio = ratio / jnp.where(possible, fixed.pdf, 1.0)
-        smooth = times(ratio, material._reflected(fixed.wi, wo)) + smooth
+        possible = drawn.pdf > 0.0
+        ratio = jnp.where(possible, jnp.abs(drawn.wi[..., 2]), 0.0)
+        ratio = ratio / jnp.where(possible, drawn.pdf, 1.0)
+        smooth = times(ratio, material._reflected(drawn.wi, wo)) + smooth
     if not material.delta:
-        return Sample(fixed.wi, smooth, fixed.pdf, fixed.delta)
-    total = jnp.zeros_like(fixed.weight)
-    for lobe in material.coherent(wo):
-        off = jax.lax.stop_gradient(lobe.wi) - fixed.wi
-        total = total + mask(dot(off, off) < 1e-6, lobe.weight)
-    known = jax.lax.stop_gradient(total)
-    share = jnp.where(known > 0.0, fixed.weight / jnp.where(known > 0.0, known, 1.0), 0.0)
-    single = fixed.weight + share * (total - known)
-    weight = mask(fixed.delta, single) + mask(~fixed.delta, smooth)
-    return Sample(fixed.wi, weight, fixed.pdf, fixed.delta)
+        return Sample(drawn.wi, smooth, drawn.pdf, drawn.delta)
+    now = known = jnp.zeros_like(drawn.weight)
+    for lobe, other in zip(material.coherent(wo), held.coherent(wo), strict=True):
+        off = other.wi - drawn.wi
+        here = dot(off, off) < 1e-6
+        now, known = now + mask(here, lobe.weight), known + mask(here, other.weight)
+    share = jnp.where(known > 0.0, drawn.weight / jnp.where(known > 0.0, known, 1.0), 0.0)
+    weight = mask(drawn.delta, share * now) + mask(~drawn.delta, smooth)
+    return Sample(drawn.wi, weight, drawn.pdf, drawn.delta)

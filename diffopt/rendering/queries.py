@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Int
 
 from diffopt.rendering.shading import Rays, Shadow
 from diffopt.scenes.raycasting import Caster, Hits
@@ -50,28 +50,32 @@ class Queries:
             self.record.answers.append(found)
         return found
 
-    def first(
-        self,
-        origin: Float[Array, "N 3"],
-        direction: Float[Array, "N 3"],
-        alive: Bool[Array, " N"],
-    ) -> tuple[Hits, Int[np.ndarray, " n"]]:
-        """What the living rays meet, in arrays [N], and which rays live."""
+    def first(self, rays: Rays) -> tuple[Rays, Hits, Int[np.ndarray, " n"]]:
+        """The rays, what those that live meet, in arrays [N], and which those are.
 
-        def ask() -> tuple[Hits, np.ndarray]:
+        From a record, the rays lie where they lay then.
+        """
+
+        def ask() -> tuple[Any, ...]:
             assert self.caster is not None
-            rows = np.flatnonzero(np.asarray(alive))
-            some = self.caster.first(np.asarray(origin)[rows], np.asarray(direction)[rows])
+            rows = np.flatnonzero(np.asarray(rays.alive))
+            way = np.asarray(rays.origin), np.asarray(rays.direction)
+            some = self.caster.first(*(a[rows] for a in way))
+            count = len(rays.alive)
             blank = Hits(
-                np.full(len(alive), -1, np.int32),
-                np.full(len(alive), np.inf, np.float32),
-                *(np.zeros(len(alive), np.float32) for _ in range(2)),
+                np.full(count, -1, np.int32),
+                np.full(count, np.inf, np.float32),
+                *(np.zeros(count, np.float32) for _ in range(2)),
             )
             for whole, part in zip(blank, some, strict=True):
                 whole[rows] = part
-            return blank, rows
+            return way, blank, rows
 
-        return self._answer(ask)
+        way, hits, rows = self._answer(ask)
+        if self.caster is None:
+            fixed = [jnp.asarray(a) for a in way]
+            rays = eqx.tree_at(lambda r: (r.origin, r.direction), rays, fixed)
+        return rays, hits, rows
 
     def packed(self, waves: list[Rays], count: int) -> list[Rays]:
         """The living rays of several arrays in as few arrays of `count` as they fill."""

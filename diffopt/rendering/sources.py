@@ -272,9 +272,18 @@ class Sky(Family):
 
 
 class LobeSky(Family):
-    """Lobes of radiance over directions: alpha [K, C]."""
+    """Lobes of radiance over directions.
+
+    Attributes
+    ----------
+    lobes
+        The radiance, alpha [K, C].
+    drawn
+        The density of directions, alpha [K].
+    """
 
     lobes: Lobes
+    drawn: Lobes
 
     def strength(self, radius: float) -> Array:
         """See `Family`."""
@@ -282,11 +291,10 @@ class LobeSky(Family):
 
     def draw(self, u: Array, position: Array) -> Drawn:
         """See `Family`."""
-        share = jax.lax.stop_gradient(self.lobes._share())
+        share, mu, kappa = self.drawn.arrays
         index = jnp.searchsorted(jnp.cumsum(share), u[:, 2], side="right", method="compare_all")
         index = jnp.minimum(index, share.shape[0] - 1)
-        mu, kappa = jax.lax.stop_gradient((self.lobes.mu[index], self.lobes.kappa[index]))
-        towards = vmf_sampling.warp(u[:, :2], mu, kappa)
+        towards = vmf_sampling.warp(u[:, :2], mu[index], kappa[index])
         density = self.density(towards)
         seen = density > 0.0
         inverse = jnp.where(seen, 1.0 / jnp.where(seen, density, 1.0), 0.0)
@@ -295,8 +303,7 @@ class LobeSky(Family):
 
     def density(self, towards: Array) -> Array:
         """Density of `draw` per steradian."""
-        share = self.lobes._share()
-        return jax.lax.stop_gradient(Lobes(share, self.lobes.mu, self.lobes.kappa)._values(towards))
+        return self.drawn._values(towards)
 
     def radiance(self, towards: Array) -> Array:
         """Radiance from directions, [n, C]."""
@@ -390,15 +397,10 @@ def gather(scene: Scene, dtype: Any) -> Sources:
         elif isinstance(light, lights.LobeEnvironment):
             found = light.lobes
             alpha = found.alpha[:, None] if found.alpha.ndim == 1 else found.alpha
-            families.append(
-                LobeSky(
-                    Lobes(
-                        channels.converted(alpha.astype(dtype)),
-                        found.mu.astype(dtype),
-                        found.kappa.astype(dtype),
-                    )
-                )
-            )
+            where = found.mu.astype(dtype), found.kappa.astype(dtype)
+            lobes = Lobes(channels.converted(alpha.astype(dtype)), *where)
+            drawn = jax.lax.stop_gradient(Lobes(lobes._share(), *where))
+            families.append(LobeSky(lobes, drawn))
         elif isinstance(light, lights.Environment):
             if light.is_map:
                 families.append(Sky(sky.Map(light, channels, dtype)))
@@ -423,6 +425,24 @@ def gather(scene: Scene, dtype: Any) -> Sources:
     chances = jnp.where(total > 0.0, chances / jnp.where(total > 0.0, total, 1.0), even)
     chances = (1.0 - _LEAST) * chances + _LEAST * even
     return Sources(ambient, tuple(families), chances, constant, jnp.asarray(entry))
+
+
+def chosen_as(lights: Sources, other: Sources) -> Sources:
+    """The lights, chosen among as among others that differ in their numbers only."""
+    families = []
+    for one, fixed in zip(lights.families, other.families, strict=True):
+        if isinstance(one, Surfaces):
+            one = eqx.tree_at(lambda f: f.ends, one, fixed.ends)  # type: ignore[attr-defined]
+        elif isinstance(one, Sky):
+            one = eqx.tree_at(
+                lambda f: (f.map.rows, f.map.columns),
+                one,
+                (fixed.map.rows, fixed.map.columns),  # type: ignore[attr-defined]
+            )
+        elif isinstance(one, LobeSky):
+            one = eqx.tree_at(lambda f: f.drawn, one, fixed.drawn)  # type: ignore[attr-defined]
+        families.append(one)
+    return eqx.tree_at(lambda s: (s.families, s.chances), lights, (tuple(families), other.chances))
 
 
 def _point(light: Any, values: Any, dtype: Any) -> tuple[Array, ...]:

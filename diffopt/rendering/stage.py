@@ -33,8 +33,8 @@ class Stage:
         The lights.
     offset
         How far from a surface rays leave it.
-    gradient
-        Whether derivatives will be taken: directions and their densities are held fixed then.
+    held
+        Materials of another scene that directions are drawn by, for derivatives; else None.
     """
 
     world: World
@@ -43,23 +43,37 @@ class Stage:
     member: Int[Array, " P"]
     sources: Sources
     offset: Float[Array, ""]
-    gradient: bool
+    held: tuple[Group, ...] | None
 
-    def __init__(self, scene: Scene, dtype: Any = "float32", *, gradient: bool = False) -> None:
-        """Prepare a scene; differentiable in its arrays."""
+    def __init__(self, scene: Scene, dtype: Any = "float32", *, held: Scene | None = None) -> None:
+        """Prepare a scene; differentiable in its arrays.
+
+        Parameters
+        ----------
+        scene
+            What is rendered.
+        dtype
+            Floating type of the arrays.
+        held
+            The scene that a record was made of, of which this one is a variation: directions,
+            lights and their densities are chosen as there.
+        """
         geometry = scene.geometry
         found = grouped(scene, dtype)
         owner = geometry.owner
         group = np.asarray(found.group, np.int32)[owner] if len(owner) else owner
         member = np.asarray(found.member, np.int32)[owner] if len(owner) else owner
+        lights = sources.gather(scene, dtype)
+        if held is not None:
+            lights = sources.chosen_as(lights, sources.gather(held, dtype))
         fields = {
             "world": geometry.typed(dtype),
             "groups": found.groups,
             "group": group,
             "member": jnp.asarray(member),
-            "sources": sources.gather(scene, dtype),
+            "sources": lights,
             "offset": jnp.asarray(raycasting.OFFSET * geometry.radius, dtype),
-            "gradient": gradient,
+            "held": None if held is None else grouped(held, dtype).groups,
         }
         for name, value in fields.items():
             object.__setattr__(self, name, value)

@@ -1,4 +1,4 @@
-"""The entry point: a picture of a scene by one of the levels of image synthesis."""
+"""The entry points: a picture of a scene by one of the levels of image synthesis."""
 
 import dataclasses
 from typing import Any
@@ -9,6 +9,7 @@ from diffopt.rendering import driver
 from diffopt.rendering.direct import Direct
 from diffopt.rendering.images import Image
 from diffopt.rendering.pathtrace import Paths
+from diffopt.rendering.recording import View
 from diffopt.rendering.settings import (
     IncrementalSettings,
     PathSettings,
@@ -63,21 +64,56 @@ def render(
     InputError
         For another level, or an option that its settings do not have.
     """
-    chosen = chosen_settings(level, options) if settings is None else settings
-    if settings is not None and options:
-        raise InputError(f"give settings or options, not both; received {', '.join(options)}")
-    if isinstance(chosen, PathSettings):
-        follow: driver.Level = Paths(chosen)
-    elif isinstance(chosen, IncrementalSettings):
-        follow = Direct(chosen)
-    else:
-        raise InputError(f"settings must be those of a level; received {type(chosen).__name__}")
+    chosen = chosen_settings(level, settings, options)
     even = not isinstance(chosen, PathSettings)
-    return driver.picture(scene, camera, chosen, follow, even=even, dtype=dtype, progress=progress)
+    return driver.picture(
+        scene, camera, chosen, _level(chosen), even=even, dtype=dtype, progress=progress
+    )
 
 
-def chosen_settings(level: str, options: dict[str, Any]) -> Settings:
-    """Settings of a level from its name and options."""
+def record(
+    scene: Scene,
+    camera: Camera,
+    level: str = "recursive",
+    *,
+    settings: Settings | None = None,
+    dtype: Any = "float32",
+    **options: Any,
+) -> View:
+    """Render once and keep what rays meet, for pictures that are differentiable.
+
+    Parameters
+    ----------
+    scene, camera, level, settings, dtype, **options
+        As for `render`. Memory grows with all rays here: choose a small picture.
+
+    Returns
+    -------
+    View
+        A function from scenes that differ in numbers of materials, emission and lights to
+        their pictures, [h, w, C], to be differentiated by JAX. Of the level "path" it is the
+        same estimate for every scene: its derivative is that of the estimate, and unbiased.
+    """
+    chosen = chosen_settings(level, settings, options)
+    even = not isinstance(chosen, PathSettings)
+    return View(scene, camera, chosen, lambda: _level(chosen), dtype, even)
+
+
+def _level(chosen: Settings) -> driver.Level:
+    if isinstance(chosen, PathSettings):
+        return Paths(chosen)
+    if isinstance(chosen, IncrementalSettings):
+        return Direct(chosen)
+    raise InputError(f"settings must be those of a level; received {type(chosen).__name__}")
+
+
+def chosen_settings(level: str, settings: Settings | None, options: dict[str, Any]) -> Settings:
+    """Settings as given, or those of a level from its name and options."""
+    if settings is not None:
+        if options:
+            given = ", ".join(options)
+            raise InputError(f"give settings or options, not both; received {given}")
+        return settings
     kind = LEVELS[checks.choice("level", level, tuple(LEVELS))]
     known = [field.name for field in dataclasses.fields(kind)]
     for name in options:
