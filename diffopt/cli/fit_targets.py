@@ -12,7 +12,6 @@ material       every other ``.csv`` and ``.npz``, and ``.binary``, ``.bsdf``, ``
 """
 
 import dataclasses
-import importlib
 from pathlib import Path
 from typing import Any, Literal
 
@@ -25,14 +24,15 @@ from diffopt.cli.limits import refuse_enormous
 from diffopt.drawing import tones
 from diffopt.drawing.lobe_fits import Function, in_blocks
 from diffopt.errors import InputError
-from diffopt.io.files import describe, existing_file, one_line, require_signature
+from diffopt.io import environments
+from diffopt.io.files import existing_file, one_line
 from diffopt.materials import naming, scattered
 from diffopt.materials.base import Material
 
 #: Maps with more rows are averaged down before the fit.
 MOST_ROWS = 256
 #: Suffixes of maps.
-MAPS = (".exr", ".hdr", ".png")
+MAPS = environments.SUFFIXES
 
 _SAMPLES = "[N, 3] directions, or [N, 4] with weights"
 
@@ -116,8 +116,7 @@ def _file(path: Path, suffix: str) -> Target | None:
         return _text(path)
     if suffix in (".npy", ".npz"):
         return _arrays(path, suffix)
-    readers = {".exr": _exr, ".hdr": _radiance_hdr, ".png": _png}
-    return _map(path, readers[suffix](path))
+    return _map(path, environments.read(path))
 
 
 def _text(path: Path) -> Target | None:
@@ -180,25 +179,9 @@ def _samples(path: Path, directions: np.ndarray, weights: np.ndarray | None) -> 
 
 def _map(path: Path, image: np.ndarray) -> Target:
     """A map that can be fitted: finite, not negative, not too fine."""
-    image = np.asarray(image, np.float64)
-    image = image[..., None] if image.ndim == 2 else image
-    if not np.isfinite(image).all():
-        bad = int((~np.isfinite(image)).any(-1).sum())
-        raise InputError(f"{path}: {bad} of {image[..., 0].size} pixels are NaN or infinite")
-    notes = []
-    if path.suffix.lower() == ".png":
-        notes.append("a .png holds 8 or 16 bits of sRGB: what is brighter than white is cut off")
-    if (image < 0.0).any():
-        notes.append(f"{int((image < 0.0).any(-1).sum())} pixels with negative values: taken as 0")
-        image = np.maximum(image, 0.0)
-    if not image.any():
-        raise InputError(f"{path}: the map is black")
+    image, said = environments.checked(path, image)
+    notes = list(said)
     height, width = image.shape[:2]
-    if width != 2 * height:
-        notes.append(
-            f"{width} x {height} pixels: taken for the whole sphere, 360 x 180 degrees, though not "
-            "twice as wide as high"
-        )
     block = -(-height // MOST_ROWS)
     if block > 1:
         height, width = height // block, width // block
@@ -206,88 +189,3 @@ def _map(path: Path, image: np.ndarray) -> Target:
         image = image.reshape(height, block, width, block, -1).mean((1, 3))
         notes.append(f"averaged to {width} x {height} pixels")
     return Target(path.name, "map", image, tuple(notes))
-
-
-def _exr(path: Path) -> np.ndarray:
-    require_signature(path, (b"\x76\x2f\x31\x01",), "an OpenEXR image")
-    try:
-        library = importlib.import_module("OpenEXR")
-    except ImportError:
-        raise InputError(
-            f"{path}: .exr needs the package OpenEXR: pip install 'diffopt-optics[exr]', or save "
-            "it as .npy or .hdr"
-        ) from None
-    try:
-        parts = library.File(str(path)).channels()
-    except (RuntimeError, ValueError, OSError) as error:
-        raise InputError(f"{path}: cannot be read: {one_line(error)}") from error
-    pixels = {name: np.asarray(channel.pixels) for name, channel in parts.items()}
-    for name in ("RGB", "RGBA", "Y"):
-        if name in pixels:
-            return pixels[name] if name == "Y" else pixels[name][..., :3]
-    raise InputError(f"{path}: expected channels R, G, B or Y; received {', '.join(pixels)}")
-
-
-def _png(path: Path) -> np.ndarray:
-    """Linear radiance of an sRGB image; 1 is white."""
-    require_signature(path, (b"\x89PNG\r\n\x1a\n",), "a PNG image")
-    from skimage import io
-
-    try:
-        found = np.asarray(io.imread(path))
-    except (ValueError, OSError, SyntaxError) as error:
-        raise InputError(f"{path}: cannot be read: {one_line(error)}") from error
-    if found.dtype.kind != "u" or found.ndim not in (2, 3):
-        raise InputError(f"{path}: expected 8 or 16 bits a channel; received {found.dtype}")
-    if found.ndim == 3:
-        found = found[..., :3] if found.shape[2] > 2 else found[..., 0]
-    share = found / np.iinfo(found.dtype).max
-    return np.where(share > 0.04045, ((share + 0.055) / 1.055) ** 2.4, share / 12.92)
-
-
-def _radiance_hdr(path: Path) -> Float[np.ndarray, "H W 3"]:
-    """Radiance's RGBE pictures: rows from the top, plain or run-length encoded."""
-    data = path.read_bytes()
-    if not data.startswith(b"#?"):
-        raise InputError(f"{path}: expected a Radiance .hdr image, found {describe(path)}")
-    head, _, rest = data.partition(b"\n\n")
-    size, _, body = rest.partition(b"\n")
-    words = size.split()
-    if b"32-bit_rle_rgbe" not in head or len(words) != 4 or words[::2] != [b"-Y", b"+X"]:
-        raise InputError(
-            f"{path}: expected 32-bit_rle_rgbe with rows from the top (-Y H +X W); received "
-            f"{size[:40].decode('latin1')!r}"
-        )
-    height, width = int(words[1]), int(words[3])
-    code = np.frombuffer(body, np.uint8)
-    if code.size >= 4 and code[0] == code[1] == 2 and 8 <= width < 32768:
-        try:
-            code = _unpacked(code, height, width)
-        except IndexError:
-            code = code[:0]
-    if code.size < 4 * height * width:
-        raise InputError(f"{path}: the file ends before its {width} x {height} pixels do")
-    pixels = code[: 4 * height * width].reshape(height, width, 4).astype(np.float64)
-    scale = np.where(pixels[..., 3:] > 0.0, np.exp2(pixels[..., 3:] - 136.0), 0.0)
-    return (pixels[..., :3] + 0.5 * (pixels[..., 3:] > 0.0)) * scale
-
-
-def _unpacked(code: np.ndarray, height: int, width: int) -> np.ndarray:
-    """Run-length encoded rows, each channel apart."""
-    out = np.empty((height, 4, width), np.uint8)
-    at = 0
-    for row in out:
-        at += 4
-        for channel in row:
-            done = 0
-            while done < width:
-                count = int(code[at])
-                run = count > 128
-                count = count - 128 if run else count
-                values = code[at + 1] if run else code[at + 1 : at + 1 + count]
-                if not count or done + count > width or np.size(values) not in (1, count):
-                    raise IndexError
-                channel[done : done + count] = values
-                at += 2 if run else 1 + count
-                done += count
-    return out.transpose(0, 2, 1).reshape(-1)

@@ -1,4 +1,4 @@
-"""Readers and writers of heightfields.
+"""Readers and writers of heightfields, and readers of pictures.
 
 ==============  ================================================================
 `record`        what a reader returns, and the options that a caller passes
@@ -9,6 +9,7 @@
 `text`          ASCII matrices and xyz lists
 `gwyddion`      ``.gwy`` (extra ``gwy``)
 `instruments`   the instrument formats of SurfaceTopography (extra ``afm``)
+`environments`  maps of radiance and pictures: EXR, Radiance HDR, PNG
 `dispatch`      which reader or writer a file name calls for
 ==============  ================================================================
 

@@ -1,0 +1,185 @@
+"""Maps of radiance and pictures from files: ``.exr``, ``.hdr``, ``.png``, ``.npy``.
+
+Maps are in longitude and latitude: the first row at the zenith, columns from azimuth 0.
+"""
+
+import importlib
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from diffopt.errors import InputError
+from diffopt.io.files import describe, existing_file, one_line, require_signature
+
+#: Suffixes of pictures; ``.npy`` is read as well.
+SUFFIXES = (".exr", ".hdr", ".png")
+
+
+def read(path: Path) -> np.ndarray:
+    """Linear values of a picture, [H, W] or [H, W, C]; 1 is white in a ``.png``.
+
+    Parameters
+    ----------
+    path
+        ``.exr`` (extra ``exr``), ``.hdr`` (Radiance), ``.png`` (sRGB) or ``.npy`` (values as
+        they are).
+
+    Raises
+    ------
+    InputError
+        For another suffix, a file that is not there, or one that cannot be read.
+    """
+    readers = {".exr": _exr, ".hdr": _radiance_hdr, ".png": _png, ".npy": _array}
+    reader = readers.get(path.suffix.lower())
+    if reader is None:
+        raise InputError(f"{path}: expected one of {', '.join(readers)}")
+    return reader(existing_file(path))
+
+
+def checked(path: Path, image: np.ndarray) -> tuple[Float[np.ndarray, "H W C"], tuple[str, ...]]:
+    """A map that can light something, and what was assumed about it.
+
+    Parameters
+    ----------
+    path
+        Its file, for texts.
+    image
+        [H, W] or [H, W, C].
+
+    Returns
+    -------
+    tuple
+        [H, W, C], float64, nothing below 0; notes of one sentence each.
+
+    Raises
+    ------
+    InputError
+        If a value is not finite, or all are 0.
+    """
+    image = np.asarray(image, np.float64)
+    image = image[..., None] if image.ndim == 2 else image
+    if not np.isfinite(image).all():
+        bad = int((~np.isfinite(image)).any(-1).sum())
+        raise InputError(f"{path}: {bad} of {image[..., 0].size} pixels are NaN or infinite")
+    notes = []
+    if path.suffix.lower() == ".png":
+        notes.append("a .png holds 8 or 16 bits of sRGB: what is brighter than white is cut off")
+    if (image < 0.0).any():
+        notes.append(f"{int((image < 0.0).any(-1).sum())} pixels with negative values: taken as 0")
+        image = np.maximum(image, 0.0)
+    if not image.any():
+        raise InputError(f"{path}: the map is black")
+    height, width = image.shape[:2]
+    if width != 2 * height:
+        notes.append(
+            f"{width} x {height} pixels: taken for the whole sphere, 360 x 180 degrees, though not "
+            "twice as wide as high"
+        )
+    return image, tuple(notes)
+
+
+def linear(srgb: np.ndarray) -> np.ndarray:
+    """Linear values of sRGB's code values in [0, 1]."""
+    return np.where(srgb > 0.04045, ((srgb + 0.055) / 1.055) ** 2.4, srgb / 12.92)
+
+
+def codes(path: Path) -> np.ndarray:
+    """Code values of a PNG picture as they are stored, 0 to 1, [H, W] or [H, W, 3]; no alpha."""
+    require_signature(path, (b"\x89PNG\r\n\x1a\n",), "a PNG image")
+    from skimage import io
+
+    try:
+        found = np.asarray(io.imread(path))
+    except (ValueError, OSError, SyntaxError) as error:
+        raise InputError(f"{path}: cannot be read: {one_line(error)}") from error
+    if found.dtype.kind != "u" or found.ndim not in (2, 3):
+        raise InputError(f"{path}: expected 8 or 16 bits a channel; received {found.dtype}")
+    if found.ndim == 3:
+        found = found[..., :3] if found.shape[2] > 2 else found[..., 0]
+    return found / np.iinfo(found.dtype).max
+
+
+def _array(path: Path) -> np.ndarray:
+    try:
+        found = np.load(path, allow_pickle=False)
+    except (ValueError, EOFError, OSError) as error:
+        raise InputError(f"{path}: cannot be read: {one_line(error)}") from error
+    if not isinstance(found, np.ndarray) or found.dtype.kind not in "fiu":
+        raise InputError(f"{path}: expected an array of real numbers")
+    if found.ndim not in (2, 3) or 0 in found.shape:
+        raise InputError(f"{path}: expected [H, W] or [H, W, C]; received {found.shape}")
+    return np.asarray(found, np.float64)
+
+
+def _png(path: Path) -> np.ndarray:
+    """Linear radiance of an sRGB image; 1 is white."""
+    return linear(codes(path))
+
+
+def _exr(path: Path) -> np.ndarray:
+    require_signature(path, (b"\x76\x2f\x31\x01",), "an OpenEXR image")
+    try:
+        library = importlib.import_module("OpenEXR")
+    except ImportError:
+        raise InputError(
+            f"{path}: .exr needs the package OpenEXR: pip install 'diffopt-optics[exr]', or save "
+            "it as .npy or .hdr"
+        ) from None
+    try:
+        parts = library.File(str(path)).channels()
+    except (RuntimeError, ValueError, OSError) as error:
+        raise InputError(f"{path}: cannot be read: {one_line(error)}") from error
+    pixels = {name: np.asarray(channel.pixels) for name, channel in parts.items()}
+    for name in ("RGB", "RGBA", "Y"):
+        if name in pixels:
+            return pixels[name] if name == "Y" else pixels[name][..., :3]
+    raise InputError(f"{path}: expected channels R, G, B or Y; received {', '.join(pixels)}")
+
+
+def _radiance_hdr(path: Path) -> Float[np.ndarray, "H W 3"]:
+    """Radiance's RGBE pictures: rows from the top, plain or run-length encoded."""
+    data = path.read_bytes()
+    if not data.startswith(b"#?"):
+        raise InputError(f"{path}: expected a Radiance .hdr image, found {describe(path)}")
+    head, _, rest = data.partition(b"\n\n")
+    size, _, body = rest.partition(b"\n")
+    words = size.split()
+    if b"32-bit_rle_rgbe" not in head or len(words) != 4 or words[::2] != [b"-Y", b"+X"]:
+        raise InputError(
+            f"{path}: expected 32-bit_rle_rgbe with rows from the top (-Y H +X W); received "
+            f"{size[:40].decode('latin1')!r}"
+        )
+    height, width = int(words[1]), int(words[3])
+    code = np.frombuffer(body, np.uint8)
+    if code.size >= 4 and code[0] == code[1] == 2 and 8 <= width < 32768:
+        try:
+            code = _unpacked(code, height, width)
+        except IndexError:
+            code = code[:0]
+    if code.size < 4 * height * width:
+        raise InputError(f"{path}: the file ends before its {width} x {height} pixels do")
+    pixels = code[: 4 * height * width].reshape(height, width, 4).astype(np.float64)
+    scale = np.where(pixels[..., 3:] > 0.0, np.exp2(pixels[..., 3:] - 136.0), 0.0)
+    return (pixels[..., :3] + 0.5 * (pixels[..., 3:] > 0.0)) * scale
+
+
+def _unpacked(code: np.ndarray, height: int, width: int) -> np.ndarray:
+    """Run-length encoded rows, each channel apart."""
+    out = np.empty((height, 4, width), np.uint8)
+    at = 0
+    for row in out:
+        at += 4
+        for channel in row:
+            done = 0
+            while done < width:
+                count = int(code[at])
+                run = count > 128
+                count = count - 128 if run else count
+                values = code[at + 1] if run else code[at + 1 : at + 1 + count]
+                if not count or done + count > width or np.size(values) not in (1, count):
+                    raise IndexError
+                channel[done : done + count] = values
+                at += 2 if run else 1 + count
+                done += count
+    return out.transpose(0, 2, 1).reshape(-1)
