@@ -4,6 +4,10 @@
 `synthesis`  a picture of a scene by a level; `settings`: how
 `driver`     tile by tile, in bounded memory
 `direct`     incremental shading and recursive ray tracing
+`radiosity`  light between `patches` of surfaces (`charts`): `formfactors`,
+             direct light on them (`illumination`), smooth over them
+             (`smoothing`), as a level (`coupled`)
+`ambient`    even light in place of what a level leaves out
 `pathtrace`  everything, with a standard error
 `shading`    where a ray meets a surface
 `stage`      a scene as arrays: `groups` of materials, `sources` of light
@@ -15,6 +19,8 @@
 """
 
 from diffopt.rendering.images import Image as Image
+from diffopt.rendering.radiosity_settings import RadiosityRaysSettings as RadiosityRaysSettings
+from diffopt.rendering.radiosity_settings import RadiositySettings as RadiositySettings
 from diffopt.rendering.settings import IncrementalSettings as IncrementalSettings
 from diffopt.rendering.settings import PathSettings as PathSettings
 from diffopt.rendering.settings import RecursiveSettings as RecursiveSettings

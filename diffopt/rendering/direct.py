@@ -22,6 +22,7 @@ from diffopt.rendering.groups import Group
 from diffopt.rendering.queries import Queries
 from diffopt.rendering.settings import IncrementalSettings
 from diffopt.rendering.shading import Meeting, Rays, Shadow
+from diffopt.rendering.smoothing import Field
 from diffopt.rendering.sources import Sources
 from diffopt.rendering.stage import Stage
 from diffopt.rendering.standins import StandIns, stand_ins
@@ -41,11 +42,18 @@ class Direct:
         `IncrementalSettings` or `RecursiveSettings`.
     ambient
         Radiance of even light beside the scene's own, [C]; None for none.
+
+    Attributes
+    ----------
+    field
+        Radiance of even light over the surfaces, see `diffopt.rendering.smoothing`; None for
+        none.
     """
 
     def __init__(self, settings: IncrementalSettings, ambient: Any = None) -> None:
         self.settings = settings
         self.ambient = ambient
+        self.field: Field | None = None
         self._prepared: tuple[Stage, StandIns, list[Albedos | None]] | None = None
 
     @property
@@ -78,7 +86,8 @@ class Direct:
             if self.ambient is not None:
                 extra = jnp.asarray(self.ambient, stage.dtype)
                 lights = eqx.tree_at(lambda s: s.ambient, lights, lights.ambient + extra)
-            needed = stage.held is not None or bool(np.asarray(lights.ambient).any())
+            plain = stage.held is None and self.field is None and lights.even is None
+            needed = not plain or bool(np.asarray(lights.ambient).any())
             tables = [albedos(group) if needed else None for group in stage.groups]
             self._prepared = stage, lights, tables
         return self._prepared[1:]
@@ -113,21 +122,25 @@ class Direct:
                     block,
                     table,
                     lights.ambient,
+                    self.field,
                 )
                 if group.kind.smooth:
-                    parts.append((group, met, block))
+                    share = None
+                    if lights.even is not None:
+                        share = _even(group, met, lights, table)
+                    parts.append((group, met, share, block))
                 if children:
                     children = _children(group, met, children, block, stage.offset, self.straight)
             born += children
         if not self.settings.shadows:
-            for group, met, block in parts:
+            for group, met, _, block in parts:
                 rays = _unshaded(group, met, lights, rays, block)
             return rays, born
         for number in range(lights.count if parts else 0):
             shadow = shading.no_shadow(count, channels, rays.origin.dtype)
             which = jnp.asarray(number)
-            for group, met, block in parts:
-                shadow = _towards(group, met, lights, which, shadow, block, stage.offset)
+            for group, met, share, block in parts:
+                shadow = _towards(group, met, lights, which, share, shadow, block, stage.offset)
             rays = queries.lit(rays, shadow)
         return rays, born
 
@@ -157,12 +170,18 @@ def _shade(
     rows: Int[Array, " n"],
     table: Albedos | None,
     ambient: Float[Array, " C"],
+    field: Field | None,
 ) -> tuple[Rays, Meeting]:
     """Where rows meet a group; what it emits and what it reflects of even light."""
     met = shading.meet(group, world, rays, hits, member, rows)
     light = shading.emitted(met, sources, rays, rows, drawn=False)
     if table is not None:
-        light = light + table.at(group, met) * ambient
+        even = ambient[None]
+        if field is not None:
+            at = jnp.minimum(rows, rays.origin.shape[0] - 1)
+            place = hits.u[at], hits.v[at], met.surface.position
+            even = even + field.at(met.primitive, *place, met.front)
+        light = light + table.at(group, met) * even
     collected = rays.radiance.at[rows].add(met.throughput * light, mode="drop")
     return eqx.tree_at(lambda r: r.radiance, rays, collected), met
 
@@ -203,17 +222,45 @@ def _unshaded(
 
 
 @eqx.filter_jit
+def _even(
+    group: Group, met: Meeting, lights: StandIns, table: Albedos | None
+) -> Float[Array, "n C"]:
+    """Factor on the beams of an even environment: together they bring what all of it brings.
+
+    A narrow lobe meets few of the beams, or hardly any. What it reflects of an even
+    environment is known, its albedo; the beams then only say how much of it is hidden.
+    """
+    beams = lights.beams.towards.shape[0]
+
+    def one(total: Array, which: Array) -> tuple[Array, None]:
+        return total + _from_light(group, met, lights, which)[0], None
+
+    numbers = jnp.arange(beams - lights.last, beams)
+    light, _ = jax.lax.scan(one, jnp.zeros_like(met.throughput), numbers)
+    assert table is not None
+    assert lights.even is not None
+    whole = met.throughput * table.at(group, met) * lights.even
+    some = light > 0.0
+    return jnp.where(some, whole / jnp.where(some, light, 1.0), 0.0)
+
+
+@eqx.filter_jit
 def _towards(
     group: Group,
     met: Meeting,
     lights: StandIns,
     which: Array,
+    share: Float[Array, "n C"] | None,
     shadow: Shadow,
     rows: Int[Array, " n"],
     offset: Array,
 ) -> Shadow:
     """Light of one source, if it is not hidden."""
     value, towards, distance = _from_light(group, met, lights, which)
+    if share is not None:
+        beams = lights.beams.towards.shape[0]
+        from_even = (which >= beams - lights.last) & (which < beams)
+        value = value * jnp.where(from_even, share, 1.0)
     length = jnp.maximum(distance * (1.0 - 1e-4) - 2.0 * offset, 0.0)
     start = shading.leaving(met.surface, towards, offset)
     way = jax.lax.stop_gradient((start, towards, length))

@@ -1,14 +1,18 @@
 """The entry points: a picture of a scene by one of the levels of image synthesis."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 from diffopt import checks
 from diffopt.errors import InputError
-from diffopt.rendering import driver
+from diffopt.rendering import driver, radiosity
+from diffopt.rendering.ambient import ambient_radiance
+from diffopt.rendering.coupled import Coupled
 from diffopt.rendering.direct import Direct
 from diffopt.rendering.images import Image
 from diffopt.rendering.pathtrace import Paths
+from diffopt.rendering.radiosity_settings import RadiosityRaysSettings, RadiositySettings
 from diffopt.rendering.recording import View
 from diffopt.rendering.settings import (
     IncrementalSettings,
@@ -21,7 +25,14 @@ from diffopt.scenes.scene import Scene
 
 #: Levels by name, and their settings.
 LEVELS: dict[str, type[Settings]] = {
-    kind.level: kind for kind in (IncrementalSettings, RecursiveSettings, PathSettings)
+    kind.level: kind
+    for kind in (
+        IncrementalSettings,
+        RecursiveSettings,
+        RadiositySettings,
+        RadiosityRaysSettings,
+        PathSettings,
+    )
 }
 
 
@@ -43,8 +54,10 @@ def render(
         What, and from where.
     level
         ``"incremental"``: direct light of abstract sources, unshadowed unless asked for.
-        ``"recursive"``: with shadows, mirrors and glass. ``"path"``: everything, with noise
-        of a stated standard error: the reference for the others.
+        ``"recursive"``: with shadows, mirrors and glass. ``"radiosity"``: light between
+        surfaces that scatter it evenly; ``"radiosity+rays"``: and mirrors and glass.
+        ``"path"``: everything, with noise of a stated standard error: the reference for the
+        others.
     settings
         Of the level, instead of `level` and options.
     dtype
@@ -67,7 +80,7 @@ def render(
     chosen = chosen_settings(level, settings, options)
     even = not isinstance(chosen, PathSettings)
     return driver.picture(
-        scene, camera, chosen, _level(chosen), even=even, dtype=dtype, progress=progress
+        scene, camera, chosen, _level(chosen, scene)(), even=even, dtype=dtype, progress=progress
     )
 
 
@@ -96,14 +109,19 @@ def record(
     """
     chosen = chosen_settings(level, settings, options)
     even = not isinstance(chosen, PathSettings)
-    return View(scene, camera, chosen, lambda: _level(chosen), dtype, even)
+    return View(scene, camera, chosen, _level(chosen, scene), dtype, even)
 
 
-def _level(chosen: Settings) -> driver.Level:
+def _level(chosen: Settings, scene: Scene) -> Callable[[], driver.Level]:
+    """Makes what follows the rays; what is known of the scene is found once."""
     if isinstance(chosen, PathSettings):
-        return Paths(chosen)
+        return lambda: Paths(chosen)
+    if isinstance(chosen, RadiositySettings):
+        transport = radiosity.prepare(scene, chosen)
+        return lambda: Coupled(chosen, transport)
     if isinstance(chosen, IncrementalSettings):
-        return Direct(chosen)
+        ambient = ambient_radiance(scene, chosen) if chosen.ambient == "derived" else None
+        return lambda: Direct(chosen, ambient)
     raise InputError(f"settings must be those of a level; received {type(chosen).__name__}")
 
 
