@@ -12,6 +12,7 @@ from diffopt.baking import Box
 from reference import directions
 
 WAVELENGTHS = np.array([0.42, 0.5, 0.61])
+PAIRS = 200
 
 
 def disc(shape=(96, 64), pixel=0.1, dtype="float64"):
@@ -20,7 +21,19 @@ def disc(shape=(96, 64), pixel=0.1, dtype="float64"):
 
 
 def relative_error(got, expected):
-    return float(jnp.abs(got - expected).max() / jnp.abs(expected).max())
+    got, expected = np.asarray(got), np.asarray(expected)
+    return float(np.abs(got - expected).max() / np.abs(expected).max())
+
+
+@pytest.fixture(scope="module")
+def plain():
+    """Pairs, spectra by the direct sum, and the table for them."""
+    rng = np.random.default_rng(20140113)
+    brdf = do.DiffractionBRDF(disc(), 0.7)
+    wi, wo = directions(rng, PAIRS), directions(rng, PAIRS)
+    job = {"pairs": (wi, wo), "wavelengths": WAVELENGTHS}
+    exact = np.asarray(brdf(wi, wo, WAVELENGTHS))
+    return brdf, wi, wo, exact, brdf.prepare(**job, tolerance=1e-2, method="table")
 
 
 MODELS = {
@@ -32,20 +45,21 @@ MODELS = {
     },
     "mirror apart, metal": {"mirror": "apart", "fresnel": do.fresnel.metal("Cu")},
     "peak, ohs": {"balance": "peak", "fresnel": do.fresnel.Schlick(0.1), "prefactor": "ohs"},
-    "plain": {},
 }
 
 
-@pytest.mark.parametrize(
-    ("model", "output"),
-    [(model, "xyz") for model in MODELS if model != "plain"] + [("plain", "spectral")],
-)
-def test_table_keeps_its_bound(model, output, rng):
+@pytest.mark.parametrize("model", MODELS)
+def test_table_keeps_its_bound(model, rng):
     brdf = do.DiffractionBRDF(disc(), 0.7, **MODELS[model])
-    wi, wo = directions(rng, 200), directions(rng, 200)
-    job = {"pairs": (wi, wo), "wavelengths": WAVELENGTHS, "output": output}
+    wi, wo = directions(rng, PAIRS), directions(rng, PAIRS)
+    job = {"pairs": (wi, wo), "wavelengths": WAVELENGTHS, "output": "xyz"}
     fast = brdf.prepare(**job, tolerance=1e-2, method="table")
     exact = brdf.prepare(**job, settings=do.DirectSettings())(wi, wo)
+    assert relative_error(fast(wi, wo), exact) <= fast.choice.error_bound <= 1e-2
+
+
+def test_spectral_table_keeps_its_bound(plain):
+    _, wi, wo, exact, fast = plain
     assert relative_error(fast(wi, wo), exact) <= fast.choice.error_bound <= 1e-2
 
 
@@ -73,10 +87,8 @@ def test_float32_table_keeps_its_bound(rng):
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
-def test_error_falls_with_the_order_of_the_spline(order, rng):
-    brdf = do.DiffractionBRDF(disc(), 0.7)
-    wi, wo = directions(rng, 150), directions(rng, 150)
-    exact = brdf(wi, wo, WAVELENGTHS)
+def test_error_falls_with_the_order_of_the_spline(order, plain):
+    brdf, wi, wo, exact, _ = plain
     errors = []
     for step in (0.8, 0.4):
         settings = do.TableSettings(step=step, order=order, nodes=16, intervals=120, error=1e-9)
@@ -86,11 +98,9 @@ def test_error_falls_with_the_order_of_the_spline(order, rng):
     assert errors[0] / errors[1] > 0.75 * 2 ** (order + 1)
 
 
-def test_nodes_and_intervals_in_w(rng):
-    brdf = do.DiffractionBRDF(disc(), 0.7)
-    wi, wo = directions(rng, 150), directions(rng, 150)
+def test_nodes_and_intervals_in_w(plain):
+    brdf, wi, wo, exact, _ = plain
     box = Box.around(-(wi + wo))
-    exact = brdf(wi, wo, WAVELENGTHS)
     fine = {"step": 0.15, "order": 3, "error": 1e-9}
     for coarse in ({"nodes": 4, "intervals": 60}, {"nodes": 16, "intervals": 5}):
         settings = do.TableSettings(**fine, **coarse)
@@ -106,15 +116,13 @@ def test_one_table_serves_the_whole_hemisphere(rng):
     fast = brdf.prepare(pairs=10**6, output="xyz", tolerance=1e-2)
     assert fast.choice.method == "table"
     wi, wo = directions(rng, 200, 89.0), directions(rng, 200, 89.0)
-    assert bool(jnp.isfinite(fast(wi, wo)).all())
+    assert np.isfinite(fast(wi, wo)).all()
     wi, wo = directions(rng, 100), directions(rng, 100)
     assert relative_error(fast(wi, wo), brdf.xyz(wi, wo)) <= 1e-2
 
 
-def test_below_the_horizon_and_outside(rng):
-    brdf = do.DiffractionBRDF(disc(), 0.7)
-    wi, wo = directions(rng, 20, 30.0), directions(rng, 20, 30.0)
-    fast = brdf.prepare(pairs=(wi, wo), wavelengths=WAVELENGTHS, method="table", tolerance=1e-2)
+def test_below_the_horizon_and_outside(plain):
+    _, wi, wo, _, fast = plain
     below = wo * np.array([1.0, 1.0, -1.0])
     np.testing.assert_array_equal(fast(wi, below), 0.0)
     grazing = np.array([np.sin(1.4), 0.0, np.cos(1.4)])
@@ -125,7 +133,7 @@ def test_below_the_horizon_and_outside(rng):
     with pytest.raises(do.InputError, match="wi must be unit vectors; received one of length 2"):
         fast(2.0 * wi, wo)
     traced = jax.jit(lambda a, b: fast(a, b))(jnp.asarray(grazing), jnp.asarray(grazing))
-    assert bool(jnp.isnan(traced).all())
+    assert np.isnan(traced).all()
 
 
 def test_flat_mirror_at_one_direction():
@@ -147,11 +155,11 @@ def test_derivative_to_the_directions(rng):
     fast = brdf.prepare(**job, gradient="directions", method="table")
     plain = brdf.prepare(**job, method="table")
     assert fast.settings.step < plain.settings.step
-    total = lambda f: jax.grad(lambda a, b: f(a, b).sum(), (0, 1))  # noqa: E731
+    total = lambda f: jax.jit(jax.grad(lambda a, b: f(a, b).sum(), (0, 1)))  # noqa: E731
     got = total(fast)(jnp.asarray(wi), jnp.asarray(wo))
     exact = total(lambda a, b: brdf(a, b, WAVELENGTHS))(jnp.asarray(wi), jnp.asarray(wo))
     for a, b in zip(got, exact, strict=True):
-        assert bool(jnp.isfinite(a).all())
+        assert np.isfinite(a).all()
         # Summed over the wavelengths; slopes in w are bounded by those in u and v.
         assert relative_error(a, b) < 5e-3
 
@@ -217,10 +225,8 @@ def test_progress_counts_to_the_end(monkeypatch):
     np.testing.assert_allclose(in_parts.coefficients, whole.coefficients, atol=2e-6 * scale)
 
 
-def test_table_under_vmap(rng):
-    brdf = do.DiffractionBRDF(disc(), 0.7)
-    wi, wo = directions(rng, 12), directions(rng, 12)
-    fast = brdf.prepare(pairs=(wi, wo), wavelengths=WAVELENGTHS, method="table", tolerance=1e-2)
+def test_table_under_vmap(plain):
+    _, wi, wo, _, fast = plain
     reflect = lambda a, b: lookup.reflect(fast.tables, a, b, irradiance=False)  # noqa: E731
     one_by_one = eqx.filter_jit(jax.vmap(reflect))(jnp.asarray(wi), jnp.asarray(wo))
     np.testing.assert_allclose(one_by_one, fast(wi, wo), rtol=1e-12)
