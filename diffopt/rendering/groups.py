@@ -150,6 +150,9 @@ def _group(members: list[Object], scene: Scene, dtype: Any) -> Group:
     matrix = None if matrix is None else jnp.asarray(matrix, dtype)
     if len(members) == 1:
         return Group(first, False, matrix, scene.channels.count)
-    materials = (typed(one.material) for one in members)
+    # Up to a power of two, so that scenes of other sizes share a program.
+    count = 1 << (len(members) - 1).bit_length()
+    materials = [typed(one.material) for one in members]
+    materials += materials[-1:] * (count - len(members))
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *materials)
     return Group(stacked, True, matrix, scene.channels.count)

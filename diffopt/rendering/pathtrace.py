@@ -65,6 +65,8 @@ def trace(stage: Stage, rays: Rays, queries: Queries, key: PRNGKeyArray, depth: 
     count = rays.origin.shape[0]
     for bounce in range(depth + 1):
         rays, hits, alive = queries.first(rays)
+        if not len(alive):
+            break
         rays = shading.alive(rays, jnp.zeros(count, bool))
         for rows in shading.blocks(alive[hits.primitive[alive] < 0], count):
             rays = _missed(stage.sources, rays, rows)

@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from diffopt.rendering.shading import Rays, Shadow
 from diffopt.scenes.raycasting import Caster, Hits
@@ -94,13 +94,18 @@ class Queries:
 
         def ask() -> np.ndarray:
             assert self.caster is not None
-            rows = np.flatnonzero(np.asarray(shadow.value).any(axis=1))
+            rows = np.flatnonzero(_bright(shadow.value))
             way = (np.asarray(a)[rows] for a in (shadow.origin, shadow.towards, shadow.length))
             seen = np.zeros(len(shadow.length), bool)
             seen[rows] = ~self.caster.blocked(*way)
             return seen
 
         return _added(rays, shadow.value, jnp.asarray(self._answer(ask)))
+
+
+@jax.jit
+def _bright(value: Float[Array, "N C"]) -> Bool[Array, " N"]:
+    return (value != 0.0).any(1)
 
 
 @eqx.filter_jit

@@ -5,9 +5,11 @@ group of materials, padded to a block, so that each group is compiled once. Rows
 padding.
 """
 
+import functools
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
@@ -143,14 +145,17 @@ def cast(
     return Shadow(*(w.at[rows].set(p, mode="drop") for w, p in zip(wholes, parts, strict=True)))
 
 
+@functools.lru_cache(maxsize=16)
 def no_shadow(count: int, channels: int, dtype: Any) -> Shadow:
     """Nothing that could be shaded."""
-    return Shadow(
-        jnp.zeros((count, 3), dtype),
-        jnp.zeros((count, 3), dtype).at[:, 2].set(1.0),
-        jnp.zeros(count, dtype),
-        jnp.zeros((count, channels), dtype),
-    )
+    # Constants also where the caller is being traced.
+    with jax.ensure_compile_time_eval():
+        return Shadow(
+            jnp.zeros((count, 3), dtype),
+            jnp.zeros((count, 3), dtype).at[:, 2].set(1.0),
+            jnp.zeros(count, dtype),
+            jnp.zeros((count, channels), dtype),
+        )
 
 
 def blocks(rows: Int[np.ndarray, " n"], count: int) -> list[Int[Array, " B"]]:

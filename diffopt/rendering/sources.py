@@ -19,7 +19,7 @@ from diffopt.kernels.frames import dot
 from diffopt.lobes import Lobes
 from diffopt.scenes import lights, sky
 from diffopt.scenes.scene import Scene
-from diffopt.scenes.world import inverse_root
+from diffopt.scenes.world import cross, inverse_root, lengthened
 
 # Least share of the choices that a family gets.
 _LEAST = 0.05
@@ -324,7 +324,7 @@ class Sources(eqx.Module):
     constant
         Radiance of an even environment, [C]: it is met, not drawn.
     entry
-        Of each primitive, its place in `Surfaces`; -1 where it emits nothing, [P].
+        Of each primitive, its place in `Surfaces`; -1 where it emits nothing, [P], padded.
     """
 
     ambient: Float[Array, " C"]
@@ -424,6 +424,8 @@ def gather(scene: Scene, dtype: Any) -> Sources:
     even = 1.0 / max(len(families), 1)
     chances = jnp.where(total > 0.0, chances / jnp.where(total > 0.0, total, 1.0), even)
     chances = (1.0 - _LEAST) * chances + _LEAST * even
+    if len(entry):
+        entry = lengthened(entry, 1 << (len(entry) - 1).bit_length())
     return Sources(ambient, tuple(families), chances, constant, jnp.asarray(entry))
 
 
@@ -504,7 +506,5 @@ def _one_minus_root(square: Array) -> Array:
 
 def cross_unit(a: Array, b: Array) -> Array:
     """Unit vectors square to two."""
-    from diffopt.scenes.world import cross
-
     normal = cross(a, b)
     return normal * inverse_root(dot(normal, normal))[:, None]

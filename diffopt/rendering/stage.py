@@ -14,7 +14,7 @@ from diffopt.rendering.sources import Sources
 from diffopt.scenes import raycasting
 from diffopt.scenes.raycasting import Hits
 from diffopt.scenes.scene import Scene
-from diffopt.scenes.world import World
+from diffopt.scenes.world import World, lengthened
 
 
 @dataclasses.dataclass(frozen=True, init=False, eq=False)
@@ -28,7 +28,7 @@ class Stage:
     groups
         The materials.
     group, member
-        Of each primitive, [P].
+        Of each primitive, [P]; `member` is padded as the world is.
     sources
         The lights.
     offset
@@ -63,6 +63,8 @@ class Stage:
         owner = geometry.owner
         group = np.asarray(found.group, np.int32)[owner] if len(owner) else owner
         member = np.asarray(found.member, np.int32)[owner] if len(owner) else owner
+        if len(owner):
+            member = lengthened(member, 1 << (len(member) - 1).bit_length())
         lights = sources.gather(scene, dtype)
         if held is not None:
             lights = sources.chosen_as(lights, sources.gather(held, dtype))

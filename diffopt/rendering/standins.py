@@ -25,12 +25,18 @@ class StandIns(eqx.Module):
     beams, points
         Of them.
     ambient
-        Radiance of even light, [C].
+        Radiance of even light that nothing shades, [C].
+    even
+        Radiance of an even environment, [C], for which the last beams stand; None for none.
+    last
+        Their number.
     """
 
     beams: Beams
     points: Points
     ambient: Float[Array, " C"]
+    even: Float[Array, " C"] | None
+    last: int = eqx.field(static=True)
 
     @property
     def count(self) -> int:
@@ -53,7 +59,7 @@ def stand_ins(sources: Sources, count: int, sky: bool) -> StandIns:
     """
     dtype, channels = sources.ambient.dtype, sources.ambient.shape[0]
     numbers = jnp.asarray(evenly(count), dtype)
-    ambient = sources.ambient
+    ambient, even = sources.ambient, None
     beams: list[tuple[Array, Array]] = []
     points: list[tuple[Array, ...]] = []
     for one in sources.families:
@@ -72,7 +78,8 @@ def stand_ins(sources: Sources, count: int, sky: bool) -> StandIns:
             turn = np.arange(count) * (0.5 * (np.sqrt(5.0) - 1.0))
             spiral = (np.sqrt(1.0 - z * z), turn % 1.0, z)
             towards = frames.around(*(jnp.asarray(a, dtype) for a in spiral))
-            each = sources.constant * (4.0 * np.pi / count)
+            even = sources.constant
+            each = even * (4.0 * np.pi / count)
             beams.append((towards, jnp.broadcast_to(each, (count, channels))))
         else:
             ambient = ambient + sources.constant
@@ -83,6 +90,8 @@ def stand_ins(sources: Sources, count: int, sky: bool) -> StandIns:
         Beams(*(jnp.concatenate(part) for part in zip(*beams, strict=True))),
         Points(*(jnp.concatenate(part) for part in zip(*points, strict=True))),
         ambient,
+        even,
+        0 if even is None else count,
     )
 
 

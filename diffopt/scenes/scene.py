@@ -233,7 +233,7 @@ class Geometry:
     def __init__(self, places: tuple[Place, ...]) -> None:
         patches = [_patch(place) for place in places]
         self.world = world.build(patches)
-        self.owner = np.asarray(self.world.owner)
+        self.owner = world.owners(patches)
         ends = [np.zeros((0, 3)), np.asarray(self.world.vertices)]
         centres, radii = np.asarray(self.world.centres), np.asarray(self.world.radii)[:, None]
         corners = np.concatenate([*ends, centres - radii, centres + radii])
@@ -275,4 +275,4 @@ def _typed(geometry: Geometry, dtype: str) -> world.World:
     def moved(array: Any) -> Array:
         return jnp.asarray(array, dtype if array.dtype.kind == "f" else array.dtype)
 
-    return jax.tree.map(moved, geometry.world)
+    return jax.tree.map(moved, world.padded(geometry.world))

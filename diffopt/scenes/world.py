@@ -6,6 +6,7 @@ Primitives are numbered through: triangles first, then spheres, then discs.
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -33,10 +34,10 @@ class World(eqx.Module):
         Vertices of triangles, [T, 3].
     centres, radii, axes
         Of S spheres, then D discs: [S + D, 3], [S + D], [S + D, 3, 3].
-    owner, element
-        The object of each primitive, and its number within the object, [P].
-    spheres
-        S.
+    element
+        Number of each primitive within its object, [P].
+    triangles, spheres
+        T and S. The arrays may be longer, so that scenes of other sizes share a program.
     """
 
     vertices: Float[Either, "V 3"]
@@ -47,14 +48,15 @@ class World(eqx.Module):
     centres: Float[Either, "R 3"]
     radii: Float[Either, " R"]
     axes: Float[Either, "R 3 3"]
-    owner: Int[Either, " P"]
     element: Int[Either, " P"]
-    spheres: int = eqx.field(static=True)
+    triangles: Int[Either, ""]
+    spheres: Int[Either, ""]
 
     @property
     def counts(self) -> tuple[int, int, int]:
-        """Numbers of triangles, spheres and discs."""
-        return self.faces.shape[0], self.spheres, self.radii.shape[0] - self.spheres
+        """Numbers of triangles, spheres and discs; of a world that is not padded."""
+        spheres = int(self.spheres)
+        return int(self.triangles), spheres, self.radii.shape[0] - spheres
 
 
 class Surface(eqx.Module):
@@ -108,7 +110,6 @@ def build(patches: Sequence[Triangles | Round]) -> World:
     def joined(arrays: list[np.ndarray], shape: tuple[int, ...], dtype: type) -> np.ndarray:
         return np.concatenate([np.zeros((0, *shape), dtype), *arrays]).astype(dtype)
 
-    owner = [np.full(len(p.faces), k) for k, p in meshes] + [np.array([k]) for k, _ in rounds]
     element = [np.arange(len(p.faces)) for _, p in meshes] + [np.array([0]) for _ in rounds]
     return World(
         vertices=joined([p.vertices for _, p in meshes], (3,), np.float64),
@@ -121,10 +122,35 @@ def build(patches: Sequence[Triangles | Round]) -> World:
         centres=joined([p.centre[None] for _, p in rounds], (3,), np.float64),
         radii=joined([np.array([p.radius]) for _, p in rounds], (), np.float64),
         axes=joined([p.axes[None] for _, p in rounds], (3, 3), np.float64),
-        owner=joined(owner, (), np.int32),
         element=joined(element, (), np.int32),
-        spheres=sum(p.kind is Sphere for _, p in rounds),
+        triangles=np.asarray(sum(len(p.faces) for _, p in meshes), np.int32),
+        spheres=np.asarray(sum(p.kind is Sphere for _, p in rounds), np.int32),
     )
+
+
+def owners(patches: Sequence[Triangles | Round]) -> Int[np.ndarray, " P"]:
+    """The patch that each primitive of their world belongs to."""
+    order = [(k, len(p.faces)) for k, p in enumerate(patches) if isinstance(p, Triangles)]
+    for kind in (Sphere, Disc):
+        order += [(k, 1) for k, p in enumerate(patches) if isinstance(p, Round) and p.kind is kind]
+    found = [np.full(count, k, np.int32) for k, count in order]
+    return np.concatenate([np.zeros(0, np.int32), *found])
+
+
+def padded(world: World) -> World:
+    """A world whose arrays have a power of two of rows, or none: the last one is repeated."""
+
+    def longer(array: np.ndarray) -> np.ndarray:
+        if array.ndim == 0 or len(array) == 0:
+            return array
+        return lengthened(array, 1 << (len(array) - 1).bit_length())
+
+    return jax.tree.map(longer, world)
+
+
+def lengthened(array: np.ndarray, count: int) -> np.ndarray:
+    """An array with rows up to a count, the last one repeated."""
+    return np.concatenate([array, np.repeat(array[-1:], count - len(array), axis=0)])
 
 
 def surface(
@@ -148,20 +174,19 @@ def surface(
         Where the rays meet them by distance and direction, [n, 3]: used for spheres and discs,
         and put onto their surface.
     """
-    triangles, spheres, discs = world.counts
     found = None
-    if triangles:
-        found = _on_triangles(world, jnp.minimum(primitive, triangles - 1), u, v)
-    if spheres + discs:
-        which = jnp.clip(primitive - triangles, 0, spheres + discs - 1)
+    if world.faces.shape[0]:
+        found = _on_triangles(world, jnp.minimum(primitive, world.faces.shape[0] - 1), u, v)
+    if world.radii.shape[0]:
+        which = jnp.clip(primitive - world.triangles, 0, world.radii.shape[0] - 1)
         other = _on_rounds(world, which, reached)
-        found = other if found is None else _either(primitive < triangles, found, other)
+        found = other if found is None else _either(primitive < world.triangles, found, other)
     assert found is not None, "a ray met nothing"
     position, geometric, normal, tangent, uv = found
     # The shading normal on the side of the geometric one.
     normal = jnp.where(dot(normal, geometric)[:, None] < 0.0, -normal, normal)
     tangent, across = _axes(tangent, normal)
-    element = world.element[primitive]
+    element = jnp.asarray(world.element)[primitive]
     return Surface(position, geometric, tangent, across, normal, uv, element)
 
 
