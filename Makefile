@@ -9,6 +9,8 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python3.14; 
 VENV ?= .venv
 RUN = $(VENV)/bin/python
 JOBS ?= 2
+# Each worker takes tests that stand together: what one of them compiles serves the next.
+SPREAD = -n $(JOBS) --dist worksteal
 # What the pass without 64-bit types runs beside the kernels.
 FLOAT32 = tests/test_lookup.py tests/test_methods.py::test_float32_carries_deep_surfaces \
 	tests/test_methods.py::test_float32_refuses_what_it_cannot_carry \
@@ -20,8 +22,8 @@ demo: $(VENV)/installed
 	$(RUN) -m diffopt demo -o out/demo
 
 test: $(VENV)/installed-test
-	$(RUN) -m pytest -n $(JOBS)
-	DIFFOPT_TEST_X64=0 $(RUN) -m pytest -n $(JOBS) -m "not slow" tests/kernels $(FLOAT32)
+	$(RUN) -m pytest $(SPREAD)
+	DIFFOPT_TEST_X64=0 $(RUN) -m pytest $(SPREAD) -m "not slow" tests/kernels $(FLOAT32)
 
 lint: $(VENV)/installed-test
 	$(RUN) -m ruff check .
