@@ -119,7 +119,7 @@ def test_value_and_gradient(row, dtype):
     for found in (*alone, value):
         error = float(np.abs(flat(found) - expected).max())
         assert error <= row.ulps * eps * scale, f"{error / eps / scale:.3g} ulps"
-    assert all(bool(jnp.isfinite(s).all()) for s in slopes)
+    assert all(np.isfinite(s).all() for s in slopes)
     if not row.smooth:
         return
     for index, slope in enumerate(slopes):
