@@ -189,7 +189,10 @@ def sheets(scene: Scene, backs: Any = None) -> Sheets:
 
     charts = Charts(
         jnp.asarray(kind[both], jnp.int32),
-        *(moved(a[both]) for a in (origin, one, two, three)),
+        moved(origin[both]),
+        moved(one[both]),
+        moved(two[both]),
+        moved(three[both]),
         moved(normal[both] * sign[:, None]),
         moved(sign),
         jnp.asarray(sheet),

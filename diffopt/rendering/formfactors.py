@@ -162,7 +162,7 @@ def _cast(
     met = hits.primitive >= 0
     distance = np.where(met, hits.distance, 0.0).astype(np.float32)
     primitive = np.maximum(hits.primitive, 0)
-    if len(shapes.owner):
+    if len(caster.geometry.owner):
         sheet, s, t, arrival = _in_blocks(
             lambda *a: _arrive(patches.sheets.charts, shapes, *a),
             primitive,

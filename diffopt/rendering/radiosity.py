@@ -12,6 +12,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
 import lineax
 import numpy as np
@@ -198,14 +199,16 @@ def prepare(scene: Scene, settings: RadiositySettings) -> Transport:
         )
     shapes_, rays = scene.geometry.typed("float32"), settings.rays_per_patch
     casts = formfactors.cast(cut, shapes_, caster, rays, settings.seed)
-    for round_ in range(settings.refinements + 1):
+    round_ = 0
+    while True:
         factors = formfactors.form_factors(cut, casts)
         samples, seed = settings.light_samples, settings.seed
         light = illumination.illuminate(found, cut, factors, casts, caster, samples, seed)
         transport = Transport(
             cut,
             factors,
-            *(jnp.asarray(a, jnp.float32) for a in (factors.exchange, factors.area)),
+            jnp.asarray(factors.exchange),
+            jnp.asarray(factors.area, jnp.float32),
             jnp.asarray(factors.escaped, jnp.float32),
             light,
             smoothing.smoother(scene, cut),
@@ -222,6 +225,7 @@ def prepare(scene: Scene, settings: RadiositySettings) -> Transport:
         new = np.flatnonzero(before < 0)
         more = formfactors.cast(cut, shapes_, caster, rays, settings.seed, new)
         casts = casts.after(before, more)
+        round_ += 1
     return transport
 
 

@@ -152,7 +152,9 @@ def smoother(scene: Scene, patches: Patches) -> Smoother:
     blank = Field(
         patches.sheets.charts,
         jnp.zeros((0, 0), jnp.float32),
-        *(jnp.asarray(a, jnp.int32) for a in (start, rows, columns)),
+        jnp.asarray(start, jnp.int32),
+        jnp.asarray(rows, jnp.int32),
+        jnp.asarray(columns, jnp.int32),
     )
     return Smoother(
         jnp.asarray(patches.table),
