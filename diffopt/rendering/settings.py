@@ -7,7 +7,7 @@ from typing import ClassVar
 from diffopt.errors import InputError
 
 
-def _whole(name: str, value: int, least: int, most: float = math.inf) -> None:
+def _whole(name: str, value: int, least: int, most: int | float = math.inf) -> None:
     if int(value) != value or not least <= value <= most:
         limit = "" if most == math.inf else f" to {most:g}"
         raise InputError(f"{name} must be a whole number from {least}{limit}; received {value}")
