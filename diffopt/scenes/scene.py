@@ -76,8 +76,8 @@ class Object(eqx.Module):
 
     def __init__(
         self,
-        shape: shapes.Shape,
-        material: Material | Textured | str,
+        shape: Any,
+        material: Any,
         transform: Any = None,
         *,
         emission: Any = None,
@@ -165,8 +165,8 @@ class Scene(eqx.Module):
 
     def __init__(
         self,
-        objects: Sequence[Object],
-        lights: Sequence[Light] = (),
+        objects: Sequence[Any],
+        lights: Sequence[Any] = (),
         *,
         wavelengths: Any = None,
     ) -> None:

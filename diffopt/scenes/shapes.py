@@ -60,7 +60,7 @@ class Plane:
 class Box:
     """Box about the origin with sides along the axes; its texture spans each face once."""
 
-    size: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    size: Any = (1.0, 1.0, 1.0)
 
     def __post_init__(self) -> None:
         """Check the sides."""

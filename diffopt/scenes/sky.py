@@ -127,9 +127,9 @@ class Map(eqx.Module):
         before = jnp.where(column > 0, self.columns[row, jnp.maximum(column - 1, 0)], 0.0)
         step = self.columns[row, column] - before
         right = jnp.clip((u[:, 1] - before) / jnp.maximum(step, 1e-30), 0.0, 1.0)
-        theta = (row + down) * (math.pi / height)
+        theta = (row.astype(u.dtype) + down) * (math.pi / height)
         sine = jnp.maximum(jnp.sin(theta), 1e-7)
-        local = frames.around(sine, (column + right) / width, jnp.cos(theta))
+        local = frames.around(sine, (column.astype(u.dtype) + right) / width, jnp.cos(theta))
         towards = jnp.matmul(local, self.axes, precision="highest")
         return towards, self._per_steradian(row, column, sine)
 
