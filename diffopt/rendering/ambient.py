@@ -8,6 +8,8 @@ R = 1 / (1 - rho c) of Cohen and Greenberg, "The hemi-cube" (SIGGRAPH 1985) for 
 light has the radiance c R B1 / pi; in a closed room c = 1.
 """
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -48,14 +50,18 @@ def ambient_radiance(scene: Scene, settings: Settings) -> Float[Array, " C"]:
     transport, stage = radiosity.prepare(scene, rough), Stage(scene)
     albedo = patches.albedo(stage, transport.patches)
     direct = sum(transport.light.irradiance(stage.sources))
-    whole = jnp.maximum(transport.area.sum(), jnp.finfo(albedo.dtype).tiny)
-    share = (transport.area / whole)[:, None]
-    first, mean = (share * albedo * direct).sum(0), (share * albedo).sum(0)
-    return even_light(first, mean, transport.closure)
+    once = albedo * direct
+    # Only surfaces that light reaches count, not the backs of the walls of a room.
+    bright = once.sum(1)
+    reached = (direct.sum(1) > 0.0) | (jnp.matmul(transport.exchange, bright) > 0.0)
+    area = jnp.where(reached, transport.area, 0.0)
+    share = area / jnp.maximum(area.sum(), jnp.finfo(area.dtype).tiny)
+    back = 1.0 - (share * transport.escaped).sum()
+    return even_light((share[:, None] * once).sum(0), (share[:, None] * albedo).sum(0), back)
 
 
 def even_light(
-    first: Float[Array, " C"], albedo: Float[Array, " C"], share: float
+    first: Float[Array, " C"], albedo: Float[Array, " C"], share: Any
 ) -> Float[Array, " C"]:
     """Radiance of even light from means over surfaces.
 

@@ -260,7 +260,7 @@ def _balanced(
     objects = int(owner.max()) + 1
     lands = np.where(patches.side == 0, math.pi * factors.area * (1.0 - factors.escaped), 0.0)
     wanted = np.bincount(patches.owner, lands, objects)
-    entry = np.asarray(sources.entry)
+    entry = np.asarray(sources.entry)[: len(owner)]
     source = np.zeros(int(entry.max()) + 1, np.int64)
     source[entry[entry >= 0]] = owner[entry >= 0]
     of = source[np.asarray(drawn.index)]

@@ -136,7 +136,10 @@ class Radiosity(eqx.Module):
     @property
     def energy(self) -> Energy:
         """The balance of power."""
-        area, escaped = self.transport.area[:, None], self.transport.escaped[:, None]
+        dtype = self.albedo.dtype
+        area, escaped = (
+            a.astype(dtype)[:, None] for a in (self.transport.area, self.transport.escaped)
+        )
         return Energy(
             emitted=(area * self.emission).sum(0),
             received=(area * self.from_lights).sum(0),
@@ -146,7 +149,7 @@ class Radiosity(eqx.Module):
 
     def field(self, values: Float[Array, "P C"]) -> Field:
         """Values of patches, smooth over the surfaces."""
-        return self.transport.smoother.field(values, self.transport.area)
+        return self.transport.smoother.field(values, self.transport.area.astype(values.dtype))
 
 
 def solve(
