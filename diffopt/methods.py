@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from diffopt.chunks import in_chunks
 from diffopt.kernels import dtft, phase, separable
 from diffopt.kernels import prefactor as prefactors
 from diffopt.settings import DirectSettings, SeparableSettings
@@ -157,8 +158,9 @@ def direct(
     waves = jnp.repeat(wave, count, axis=0)
     colours = jnp.tile(wavelengths, pairs)
     body = jax.checkpoint(lambda z: _one(surface, *z), prevent_cse=False)
-    batch = None if chunk == 1 else min(chunk, waves.shape[0])
-    return jax.lax.map(body, (waves, colours), batch_size=batch).reshape(pairs, count)
+    batch = (waves, colours)
+    found = jax.lax.map(body, batch) if chunk == 1 else in_chunks(body, batch, chunk)
+    return found.reshape(pairs, count)
 
 
 def separable_pairs(

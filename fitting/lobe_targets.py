@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from diffopt import checks
+from diffopt.chunks import in_chunks
 from diffopt.errors import InputError
 from diffopt.fitting.lobe_settings import LobeSettings
 from diffopt.fitting.lobes import LobeFit, Method, Nodes, fit_nodes
@@ -140,8 +141,7 @@ def _slices(material: Material, wo: Array, settings: LobeSettings) -> Nodes:
         fine, coarse, other = grids(scouts.wi, square, settings)
         return on(*fine), on(*coarse), on(*other)
 
-    size = min(settings.chunk, wo.shape[0])
-    fine, coarse, other = (Nodes(*part) for part in jax.lax.map(one, wo, batch_size=size))
+    fine, coarse, other = (Nodes(*part) for part in in_chunks(one, wo, settings.chunk))
     return Nodes(fine.directions, fine.solid_angles, fine.values, coarse, other)
 
 

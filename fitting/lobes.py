@@ -23,6 +23,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from diffopt import checks
 from diffopt.accuracy.measurement import peak_bytes
 from diffopt.brdf_lobes import BRDFLobes
+from diffopt.chunks import in_chunks
 from diffopt.errors import InputError
 from diffopt.fitting.lobe_settings import LobeSettings
 from diffopt.kernels import lobe_squares, mixture, vmf
@@ -209,7 +210,7 @@ def _batched(one: Callable[[Any], Any], batch: Any, count: int, settings: LobeSe
     """A function over a batch, in chunks where it is larger than one."""
     if count <= settings.chunk:
         return jax.vmap(one)(batch)
-    return jax.lax.map(one, batch, batch_size=settings.chunk)
+    return in_chunks(one, batch, settings.chunk)
 
 
 def _check(nodes: Nodes, settings: LobeSettings) -> None:

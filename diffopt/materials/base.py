@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from diffopt.chunks import in_chunks
 from diffopt.errors import InputError
 from diffopt.fresnel import floating as floating
 from diffopt.kernels import frames, warps
@@ -305,7 +306,7 @@ def _albedo(material: Material, wo: Array, nodes: int) -> Array:
     flat = wo.reshape(-1, 3)
     seen = jnp.full(flat.shape[:1], True) if material.transmits else flat[:, 2] > 0.0
     one = lambda w: material.integrate(w, nodes)  # noqa: E731
-    found = jax.lax.map(one, _upright(seen, flat), batch_size=ALBEDO_CHUNK)
+    found = in_chunks(one, _upright(seen, flat), ALBEDO_CHUNK)
     found = mask(seen, found)
     return found.reshape(*wo.shape[:-1], *found.shape[1:])
 

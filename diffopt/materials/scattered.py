@@ -27,6 +27,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from diffopt import checks
+from diffopt.chunks import in_chunks
 from diffopt.errors import InputError
 from diffopt.io.files import describe, existing_file, one_line, require_signature
 from diffopt.kernels import frames, tabulated
@@ -120,7 +121,7 @@ class Scattered(LobeSampled):
         """See `Material`."""
         at = _embedded(wi, wo, self.isotropic, self.swaps)
         flat = at.reshape(-1, at.shape[-1])
-        found = jax.lax.map(self._at, flat, batch_size=_CHUNK)
+        found = in_chunks(self._at, flat, _CHUNK)
         return found.reshape(*at.shape[:-1], *self.channels)
 
     def _at(self, x: Float[Array, " D"]) -> Float[Array, "*C"]:
