@@ -49,7 +49,8 @@ def ambient_radiance(scene: Scene, settings: Settings) -> Float[Array, " C"]:
         return jnp.zeros(scene.channels.count)
     transport, stage = radiosity.prepare(scene, rough), Stage(scene)
     albedo = patches.albedo(stage, transport.patches)
-    direct = sum(transport.light.irradiance(stage.sources))
+    surfaces, other = transport.light.irradiance(stage.sources)
+    direct = surfaces + other
     once = albedo * direct
     # Only surfaces that light reaches count, not the backs of the walls of a room.
     bright = once.sum(1)

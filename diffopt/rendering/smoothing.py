@@ -8,7 +8,6 @@ one object that meet there without an edge; between the corners it is bilinear.
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
@@ -49,8 +48,8 @@ class Field(eqx.Module):
         front: Bool[Array, " n"],
     ) -> Float[Array, "n C"]:
         """Values at points of surfaces; 0 on sides that have no patches."""
-        place = jax.tree.map(lambda a: a.astype(jnp.float32), (u, v, position))
-        found, s, t = self.charts.locate(primitive, *place, front)
+        u, v, position = (a.astype(jnp.float32) for a in (u, v, position))
+        found, s, t = self.charts.locate(primitive, u, v, position, front)
         sheet = jnp.maximum(found, 0)
         rows, columns, start = self.rows[sheet], self.columns[sheet], self.start[sheet]
         x, y = s * columns.astype(s.dtype), t * rows.astype(t.dtype)
