@@ -10,6 +10,8 @@
 `studying`        ``diffopt accuracy`` and ``diffopt bench``
 `comparing`       ``diffopt compare``
 `fitting`         ``diffopt fit``; `fit_targets`: what is fitted to
+`scene`           ``diffopt scene``: scene files checked, and examples
+`render`          ``diffopt render``: their pictures
 `inspection`      ``diffopt samples`` and ``diffopt info``
 `limits`          refusal of files that claim to be enormous
 `output`          folders that are complete or absent

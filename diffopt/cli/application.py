@@ -15,13 +15,16 @@ from diffopt.cli import (
     fitting,
     inspection,
     material,
+    render,
+    scene,
     studying,
 )
 from diffopt.errors import InputError
 
 app = typer.Typer(
     name="diffopt",
-    help="Diffraction colours of measured surfaces: lengths in micrometres, angles in degrees.",
+    help="Diffraction colours of measured surfaces, materials, scenes: lengths in micrometres, "
+    "those of scenes in any unit, angles in degrees.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -31,6 +34,8 @@ app = typer.Typer(
 app.command("diffraction")(diffraction.command)
 app.command("material")(material.command)
 app.add_typer(fitting.app, name="fit")
+app.add_typer(scene.app, name="scene")
+app.command("render")(render.command)
 app.command("demo")(demo.command)
 app.command("accuracy")(studying.accuracy)
 app.add_typer(comparing.app, name="compare")

@@ -99,14 +99,35 @@ def terminal() -> "Console":
 
 
 @contextmanager
-def stages(count: int) -> Iterator[Stages]:
-    """Show a bar for a job of `count` stages, if the error stream is a terminal."""
+def stages(count: int, *, left: bool = False) -> Iterator[Stages]:
+    """Show a bar for a job of `count` stages, if the error stream is a terminal.
+
+    Parameters
+    ----------
+    count
+        Of the stages.
+    left
+        Whether the time left is shown too: for jobs whose parts take alike.
+    """
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        ProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
     _listen()
     console = Console(stderr=True)
-    columns = (TextColumn("{task.description:<22}"), BarColumn(), TimeElapsedColumn())
+    columns: tuple[ProgressColumn, ...] = (
+        TextColumn("{task.description:<22}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+    )
+    if left:
+        columns += (TextColumn("left"), TimeRemainingColumn())
     with Progress(
         *columns, console=console, transient=True, disable=not console.is_terminal
     ) as bar:

@@ -12,11 +12,28 @@
 `raycasting`    what a ray meets
 `meshfiles`     meshes from files and arrays: winding, creases, normals
 `tangents`      directions of the material on a mesh
+`files`         scenes as TOML files; `tables`: their faults; `toml_lines`: where
+`reading`       objects from tables; `material_tables`, `light_tables`
+`writing`       scenes to files; `material_words`: their materials
+`assets`        textures, maps and materials from files; `origins`: which ones
+`spectra`       colours of lights by illuminant or temperature
+`findings`      what is odd about a scene; `overlaps`: surfaces in one place
+`examples`      scenes to start from
 ==============  ==================================================================
 """
 
 from diffopt.scenes import meshfiles as meshfiles
+from diffopt.scenes.assets import checkerboard as checkerboard
+from diffopt.scenes.assets import load_environment as load_environment
+from diffopt.scenes.assets import load_lobes as load_lobes
+from diffopt.scenes.assets import load_material as load_material
+from diffopt.scenes.assets import load_texture as load_texture
 from diffopt.scenes.camera import Camera as Camera
+from diffopt.scenes.files import SceneFile as SceneFile
+from diffopt.scenes.files import load_scene as load_scene
+from diffopt.scenes.files import save_scene as save_scene
+from diffopt.scenes.findings import Finding as Finding
+from diffopt.scenes.findings import check as check
 from diffopt.scenes.lights import Ambient as Ambient
 from diffopt.scenes.lights import Directional as Directional
 from diffopt.scenes.lights import Environment as Environment

@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 
 from diffopt.errors import InputError
 from diffopt.io.files import describe, existing_file, one_line
+from diffopt.scenes.origins import remember
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -33,6 +34,25 @@ _FLAT = 1e-7
 _LARGEST = 1e70
 
 
+@dataclasses.dataclass(frozen=True)
+class Repairs:
+    """What `build` put right.
+
+    Attributes
+    ----------
+    turned
+        Faces that were wound against their neighbours, or inwards on a closed body.
+    dropped
+        Faces without area, left out.
+    inwards
+        Whether the whole mesh was closed and wound inwards.
+    """
+
+    turned: int = 0
+    dropped: int = 0
+    inwards: bool = False
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Mesh:
     """Triangles with a normal at every vertex; see `build` and `load`.
@@ -47,12 +67,15 @@ class Mesh:
         Unit normals on the front, [V, 3].
     uv
         Texture coordinates, [V, 2], None where there are none.
+    repairs
+        What was put right in them.
     """
 
     vertices: Float[np.ndarray, "V 3"]
     faces: Int[np.ndarray, "F 3"]
     normals: Float[np.ndarray, "V 3"]
     uv: Float[np.ndarray, "V 2"] | None = None
+    repairs: Repairs = Repairs()
 
     @functools.cached_property
     def centre(self) -> Float[np.ndarray, "3"]:
@@ -122,7 +145,8 @@ def load(path: str | os.PathLike, *, crease_deg: float = CREASE_DEG) -> Mesh:
     uv = None
     if all(texture is not None for texture in textures):
         uv = np.concatenate([texture for texture in textures if texture is not None])
-    return build(vertices, faces, uv, crease_deg=crease_deg, name=str(path))
+    mesh = build(vertices, faces, uv, crease_deg=crease_deg, name=str(path))
+    return remember(mesh, file=os.path.abspath(path), crease=float(crease_deg))
 
 
 def build(
@@ -182,6 +206,7 @@ def build(
     faces = faces[solid]
     welded = place[faces]
     flipped = _to_flip(points, welded)
+    repairs = Repairs(int(flipped.sum()), int((~solid).sum()), bool(flipped.all()))
     faces = np.where(flipped[:, None], faces[:, ::-1], faces)
     welded = np.where(flipped[:, None], welded[:, ::-1], welded)
     normals, labels = _corner_normals(points, welded, math.radians(crease_deg))
@@ -197,6 +222,7 @@ def build(
         faces=corner.reshape(-1, 3),
         normals=normals[chosen],
         uv=None if uv is None else uv[kept],
+        repairs=repairs,
     )
 
 
