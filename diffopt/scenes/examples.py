@@ -146,6 +146,7 @@ radiance = [0.32, 0.42, 0.62]
 level = "path"
 spp = 64
 depth = 12
+exposure = 1.8
 """
 
 _DISC = """\
