@@ -33,6 +33,8 @@ from diffopt.scenes.textures import Textured
 _SMALL = 0.5
 # Side of the cubes in which they are joined, in roots of that area.
 _CUBE = 1.2
+# Cells at least along each side of the square of a sphere or disc, whose maps have corners.
+_ROUND = 8
 # Cells at least along each side of what emits light: how much of it escapes counts for all.
 _BRIGHT = 4
 # Points of a patch at which a texture is read, and cosines and nodes of its albedo.
@@ -258,7 +260,7 @@ def cut(scene: Scene, wanted: int, depth: int = 0, backs: Any = None) -> Patches
     cells[dark] = 1
     kind = np.asarray(sheets.charts.kind)
     round_ = (kind > charts.TRIANGLE) & ~dark
-    cells[round_] = np.maximum(cells[round_], 2)
+    cells[round_] = np.maximum(cells[round_], _ROUND)
     bright = np.array([one.emission is not None for one in scene.objects] or [False], bool)
     wide = bright[sheets.owner] & (kind != charts.TRIANGLE)
     cells[wide] = np.maximum(cells[wide], _BRIGHT)
