@@ -612,6 +612,19 @@ def _directions():
         (2.0,),
         lambda x: tuple(row * x for row in held),
     )
+    # Counted from 0, a pair at a time: the same words.
+    counter = jnp.arange(3, dtype=jnp.uint32)
+
+    def at(x):
+        return uniforms.at(jax.random.key(7), jnp.zeros_like(counter), counter)
+
+    yield Hard(
+        "uniforms.at",
+        "scaled",
+        lambda x: tuple(p.astype(x.dtype) * x for p in at(x)),
+        (2.0,),
+        lambda x: tuple(row * x for row in held),
+    )
     up = jnp.asarray([0.0, 0.0, 1.0])
 
     def around_z(kappa):

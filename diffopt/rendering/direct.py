@@ -110,7 +110,9 @@ class Direct:
         for number, group, rows in stage.by_group(alive, hits):
             table = tables[number]
             follow = group.transmits if self.straight else group.delta
-            children = [dead] * (1 if self.straight else _lobes(group)) if follow else []
+            children = (
+                [dead] * (1 if self.straight else _lobes(group, stage.dtype)) if follow else []
+            )
             for block in shading.blocks(rows, count):
                 rays, met = _shade(
                     group,
@@ -133,7 +135,7 @@ class Direct:
                     children = _children(group, met, children, block, stage.offset, self.straight)
             born += children
         if not self.settings.shadows:
-            for group, met, _, block in parts:
+            for group, met, _, block in parts if lights.count else []:
                 rays = _unshaded(group, met, lights, rays, block)
             return rays, born
         for number in range(lights.count if parts else 0):
@@ -145,9 +147,9 @@ class Direct:
         return rays, born
 
 
-def _lobes(group: Group) -> int:
+def _lobes(group: Group, dtype: Any) -> int:
     """Number of coherent lobes of the materials of a group."""
-    up = jax.ShapeDtypeStruct((3,), jnp.float32)
+    up = jax.ShapeDtypeStruct((3,), dtype)
     return len(eqx.filter_eval_shape(lambda m, wo: m.coherent(wo), group.kind, up))
 
 
@@ -239,7 +241,7 @@ def _even(
     light, _ = jax.lax.scan(one, jnp.zeros_like(met.throughput), numbers)
     assert table is not None
     assert lights.even is not None
-    whole = met.throughput * table.at(group, met) * lights.even
+    whole = met.throughput * table.at(group, met) * lights.even[None]
     some = light > 0.0
     return jnp.where(some, whole / jnp.where(some, light, 1.0), 0.0)
 

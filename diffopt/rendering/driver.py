@@ -70,7 +70,7 @@ def picture(
     """
     begin = time.perf_counter()
     stage = Stage(scene, dtype)
-    caster = raycasting.caster(scene.geometry, settings.backend)  # type: ignore[arg-type]
+    caster = raycasting.caster(scene.geometry, settings.backend)
     key = jax.random.key(settings.seed)
     runs, together = tiles(camera, settings)
     size = len(runs[0])
@@ -163,9 +163,10 @@ def _rays(
     del rows
     x = (column + inside[:, 0] - 0.5 * size[0]) * half
     y = (0.5 * size[1] - row - inside[:, 1]) * half
-    along = x[:, None] * matrix[:3, 0] + y[:, None] * matrix[:3, 1] - matrix[:3, 2]
+    right, up, back, place = matrix[None, :3].transpose(2, 0, 1)
+    along = x[:, None] * right + y[:, None] * up - back
     along = along * world.inverse_root(shading.dot(along, along))[:, None]
-    return jnp.broadcast_to(matrix[:3, 3], along.shape), along
+    return jnp.broadcast_to(place, along.shape), along
 
 
 def _layers(

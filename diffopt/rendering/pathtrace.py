@@ -148,7 +148,7 @@ def _scatter(
     weight = group.converted(sample.weight)
     # Ambient light is scattered; perfect mirrors and glass show what is met behind them.
     even = jnp.where(last | sample.delta, 0.0, 1.0).astype(dtype)
-    light = light + even[:, None] * met.throughput * weight * sources.ambient
+    light = light + even[:, None] * met.throughput * weight * sources.ambient[None]
     towards = met.surface.outwards(sample.wi)
     if not group.transmits:
         side = jnp.where(met.front, 1.0, -1.0).astype(dtype)

@@ -45,7 +45,7 @@ class View:
         self._level, self._dtype, self._even = level, dtype, even
         self._records: list[Record] = []
         stage, follow = Stage(scene, dtype, held=scene), level()
-        caster = raycasting.caster(scene.geometry, settings.backend)  # type: ignore[arg-type]
+        caster = raycasting.caster(scene.geometry, settings.backend)
         for rays in self._passes(stage):
             self._records.append(Record())
             follow(stage, rays, Queries(caster, self._records[-1]), self._key)

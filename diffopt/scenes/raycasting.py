@@ -56,7 +56,7 @@ class Caster:
     Lengths are those of the scene; directions are unit vectors.
     """
 
-    def __init__(self, geometry: Geometry, backend: Backend = "embree") -> None:
+    def __init__(self, geometry: Geometry, backend: str = "embree") -> None:
         self.backend = checks.choice("backend", backend, get_args(Backend))
         self.geometry = geometry
         self.triangles, self.spheres, self.discs = geometry.world.counts
@@ -168,7 +168,7 @@ class Caster:
 
 
 @functools.lru_cache(maxsize=8)
-def caster(geometry: Geometry, backend: Backend = "embree") -> Caster:
+def caster(geometry: Geometry, backend: str = "embree") -> Caster:
     """The caster of a geometry, made once."""
     return Caster(geometry, backend)
 

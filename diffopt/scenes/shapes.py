@@ -160,7 +160,7 @@ def _mesh(shape: Plane | Box | Mesh) -> Mesh:
         half = 0.5 * np.array([shape.width, shape.height, 0.0])
         return Mesh(corners * half, two, np.tile([0.0, 0.0, 1.0], (4, 1)), uv)
     sides = []
-    for x in range(3):
+    for x in (1, 2, 0):  # +x, -x, +y, -y, +z, -z
         # The axes across are in the order that makes a right-handed frame on each side.
         for sign in (1.0, -1.0):
             axes = np.roll(np.eye(3), x, axis=1)
