@@ -28,6 +28,8 @@
 `lobes`                functions on the sphere as von Mises-Fisher lobes
 `brdf_lobes`           those of a BRDF over viewing directions
 `materials`            how surfaces scatter light: values, samples, densities, albedos
+`scenes`               objects, lights and cameras
+`rendering`            pictures of scenes, at several levels of image synthesis
 `colour`               spectra to XYZ to sRGB
 `illuminants`          illuminants, the observer, weights from spectra to XYZ
 `bands`                three bands in place of the matching functions
@@ -41,6 +43,7 @@ from diffopt import fresnel as fresnel
 from diffopt import gratings as gratings
 from diffopt import materials as materials
 from diffopt import samples as samples
+from diffopt import scenes as scenes
 from diffopt.accuracy.studies import study as study
 from diffopt.brdf_lobes import BRDFLobes as BRDFLobes
 from diffopt.choice import Choice as Choice
@@ -50,6 +53,12 @@ from diffopt.errors import InputError as InputError
 from diffopt.heightfield import Heightfield as Heightfield
 from diffopt.lobes import Lobes as Lobes
 from diffopt.materials.phong import BlinnPhong as BlinnPhong
+from diffopt.rendering.images import Image as Image
+from diffopt.rendering.synthesis import record as record
+from diffopt.rendering.synthesis import render as render
+from diffopt.scenes.camera import Camera as Camera
+from diffopt.scenes.scene import Object as Object
+from diffopt.scenes.scene import Scene as Scene
 from diffopt.settings import ChebyshevSettings as ChebyshevSettings
 from diffopt.settings import DirectSettings as DirectSettings
 from diffopt.settings import FewSettings as FewSettings

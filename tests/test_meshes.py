@@ -5,8 +5,8 @@ import pytest
 import trimesh
 
 from diffopt.drawing import meshes, shapes
-from diffopt.scenes import tangents
 from diffopt.errors import InputError
+from diffopt.scenes import tangents
 
 LIGHT = shapes.unit(np.array([-0.45, 0.50, 0.75]))
 

@@ -14,7 +14,6 @@ import equinox as eqx
 import jax
 import jax.core
 import jax.numpy as jnp
-import lineax
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -263,6 +262,8 @@ def _between(
     direct: Float[Array, "P C"],
 ) -> Float[Array, "P C"]:
     """Indirect irradiance F B, with B = rho (E + F B)."""
+    import lineax  # takes a tenth of a second, which only this needs
+
     dtype = direct.dtype
     weight = jnp.where(area > 0.0, 1.0 / jnp.where(area > 0.0, area, 1.0), 0.0).astype(dtype)
 
