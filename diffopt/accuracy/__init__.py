@@ -18,7 +18,12 @@
 `contenders`              how its methods are set up, timed and judged
 `tuning`                  those that are tuned on the truth
 `nufft`                   the non-uniform FFT as a contender
+`render_comparison`       levels of image synthesis against path tracing
+`render_pictures`         its plot and contact sheet; `render_scenes`: its scenes
 `benchmarks`              the protocol of the benchmarks
 `diffraction_benchmarks`  benchmarks of the diffraction methods
+`frame_benchmarks`        benchmark of interactive frames
+`render_throughput`       benchmarks of camera rays and paths
+`mitsuba_scenes`          the same scenes for Mitsuba; `mitsuba_process`: where it runs
 ========================  =====================================================
 """

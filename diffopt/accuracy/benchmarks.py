@@ -14,7 +14,12 @@ from typing import Any
 import jax
 
 from diffopt.accuracy.measurement import Measurement as Measurement
-from diffopt.accuracy.measurement import compile_ahead, time_together, value_and_gradient
+from diffopt.accuracy.measurement import (
+    compile_ahead,
+    compile_by_running,
+    time_together,
+    value_and_gradient,
+)
 from diffopt.accuracy.measurement import measure as measure
 from diffopt.errors import InputError
 
@@ -26,6 +31,8 @@ NAMES: dict[str, str] = {
     "direct.window": "diffopt.accuracy.diffraction_benchmarks:DIRECT_WINDOW",
     "expansion.gather": "diffopt.accuracy.diffraction_benchmarks:EXPANSION_GATHER",
     "frames": "diffopt.accuracy.frame_benchmarks:FRAMES",
+    "render.paths": "diffopt.accuracy.render_throughput:PATHS",
+    "render.rays": "diffopt.accuracy.render_throughput:RAYS",
     "separable.grid": "diffopt.accuracy.diffraction_benchmarks:SEPARABLE_GRID",
     "separable.pairs": "diffopt.accuracy.diffraction_benchmarks:SEPARABLE_PAIRS",
     "taylor.gather": "diffopt.accuracy.diffraction_benchmarks:TAYLOR_GATHER",
@@ -55,6 +62,9 @@ class Entry:
         Position of the argument whose gradient is timed, or None.
     rate
         Whether the note gives the units in a second as well.
+    whole
+        Whether JAX compiles the whole function. Where it does not, the function compiles its
+        parts itself when it first runs, and operations and memory are not known.
     """
 
     variant: str
@@ -66,6 +76,7 @@ class Entry:
     gradient: int | None = None
     dtype: str = "float32"
     rate: bool = False
+    whole: bool = True
 
 
 @dataclass(frozen=True)
@@ -158,7 +169,10 @@ def _benchmark(name: str) -> Benchmark:
 
 def _run(benchmark: Benchmark, size: str, repeats: int) -> list[Result]:
     entries = benchmark.entries(size)
-    forward = [compile_ahead(e.function, *e.arguments) for e in entries]
+    forward = [
+        (compile_ahead if e.whole else compile_by_running)(e.function, *e.arguments)
+        for e in entries
+    ]
     backward = {
         index: compile_ahead(value_and_gradient(e.function, e.gradient), *e.arguments)
         for index, e in enumerate(entries)

@@ -70,7 +70,7 @@ def plot(result: Any, path: str | os.PathLike | None) -> Any:
     )
     if len(result.problems()) > 1:
         axes.legend(fontsize=7)
-    return _saved(figure, path)
+    return saved(figure, path)
 
 
 def plot_against(result: Any, name: str, path: str | os.PathLike | None) -> Any:
@@ -123,10 +123,11 @@ def plot_against(result: Any, name: str, path: str | os.PathLike | None) -> Any:
     for axes in grid[:, 0]:
         axes.set_ylabel("error (dotted: bound)" if any(r.bound for r in result.rows) else "error")
     figure.suptitle(f"{result.study.name}: {result.study.quantity}", fontsize=8, wrap=True)
-    return _saved(figure, path)
+    return saved(figure, path)
 
 
-def _saved(figure: Any, path: str | os.PathLike | None) -> Any:
+def saved(figure: Any, path: str | os.PathLike | None) -> Any:
+    """The figure, written as PNG, PDF or SVG by the ending of the path if there is one."""
     if path is not None:
         kind = Path(path).suffix.lstrip(".").lower()
         if kind not in ("png", "pdf", "svg"):

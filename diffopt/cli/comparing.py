@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+from diffopt.cli.comparing_levels import rendering
+
 app = typer.Typer(
     help="Compare all ways to compute the same: set-up, run time, memory, measured error.",
     rich_markup_mode=None,
@@ -15,6 +17,9 @@ app = typer.Typer(
 @app.callback()
 def _root() -> None:
     """Compare all ways to compute the same: set-up, run time, memory, measured error."""
+
+
+app.command("rendering")(rendering)
 
 
 @app.command("diffraction")

@@ -63,7 +63,7 @@ def command(
             raise InputError(f"-o {target}: is a folder; expected a file")
     if exposure is not None and not 0.0 < exposure < float("inf"):
         raise InputError(f"--exposure must be a factor above 0; received {exposure:g}")
-    resolution = _size(size)
+    resolution = pixels(size)
     with one_line(file), user_input():
         found = load_scene(file)
     camera = found.camera
@@ -172,7 +172,7 @@ def _duration(seconds: float) -> str:
     return time.strftime("%H:%M:%S", time.gmtime(seconds))
 
 
-def _size(text: str | None) -> tuple[int, int] | None:
+def pixels(text: str | None) -> tuple[int, int] | None:
     """Columns and rows from ``WxH``."""
     if text is None:
         return None
