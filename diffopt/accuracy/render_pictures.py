@@ -63,6 +63,7 @@ def plot(rows: "Sequence[Row]", path: str | os.PathLike | None) -> Any:
         noise = here[0].reference_noise
         handles["noise of the reference"] = axes.axhline(noise, color="0.6", lw=0.8, ls=":")
         axes.set(xscale="log", yscale="log")
+        axes.margins(0.08)
         axes.set_title(name, fontsize=9)
         axes.grid(alpha=0.2)
     for axes in grid[:, 0]:
@@ -90,7 +91,7 @@ def sheet(
     first = next(iter(pictures.values()))[""]
     aspect = first.radiance.shape[0] / first.radiance.shape[1]
     figure = Figure(
-        figsize=(1.55 * len(levels), (1.55 * aspect + 0.3) * len(pictures) + 0.4),
+        figsize=(1.55 * len(levels), (1.55 * aspect + 0.14) * len(pictures) + 0.3),
         layout="constrained",
     )
     grid = figure.subplots(len(pictures), len(levels), squeeze=False)
