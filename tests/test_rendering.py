@@ -143,12 +143,24 @@ def test_changed_numbers_compile_nothing():
 
 
 GRADIENTS = {
-    "colour": lambda s: s.objects[0].material.colour,
-    "alpha": lambda s: s.objects[1].material.alpha,
-    "emission": lambda s: s.objects[2].emission,
+    "alpha": lambda s: s.objects[0].material.alpha,
+    "reflectance": lambda s: s.objects[1].material.fresnel.value,
+    "emission": lambda s: s.objects[0].emission,
     "position": lambda s: s.lights[0].position,
     "sky": lambda s: s.lights[1].radiance,
 }
+
+
+def two_metal_balls():
+    """Of one kind, so that there is one program to differentiate; one of them glows."""
+    left, right = (scenes.translate(x, 0.0, 0.0) for x in (-1.1, 1.1))
+    return scenes.Scene(
+        [
+            scenes.Object(scenes.Sphere(1.0), Microfacet(alpha=0.3), left, emission=0.5),
+            scenes.Object(scenes.Sphere(1.0), Microfacet(alpha=0.4), right),
+        ],
+        [POINT, scenes.Environment(0.25)],
+    )
 
 
 @pytest.mark.parametrize(
@@ -156,9 +168,7 @@ GRADIENTS = {
     [("incremental", {}), ("recursive", {}), ("path", {"spp": 2, "depth": 2})],
 )
 def test_derivatives_at_fixed_visibility(level, options):
-    scene = ball_on_floor(
-        Microfacet(alpha=0.3), [POINT, scenes.Environment(0.25)], objects=[lamp()]
-    )
+    scene = two_metal_balls()
     camera = scenes.Camera(eye=(0.0, -5.0, 2.0), resolution=(12, 8), field_of_view=35.0)
     small = {"rays": 192, "spp": 2} | options
     view = rendering.record(scene, camera, level, dtype="float64", **small)

@@ -86,8 +86,8 @@ class Direct:
             if self.ambient is not None:
                 extra = jnp.asarray(self.ambient, stage.dtype)
                 lights = eqx.tree_at(lambda s: s.ambient, lights, lights.ambient + extra)
-            plain = stage.held is None and self.field is None and lights.even is None
-            needed = not plain or bool(np.asarray(lights.ambient).any())
+            extra_light = self.ambient is not None or self.field is not None
+            needed = extra_light or lights.has_ambient or lights.even is not None
             tables = [albedos(group) if needed else None for group in stage.groups]
             self._prepared = stage, lights, tables
         return self._prepared[1:]

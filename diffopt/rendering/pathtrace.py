@@ -146,9 +146,10 @@ def _scatter(
     draw = _drawn if held is None else _held
     sample = group.each(draw, met.member, met.surface, jnp.stack(u[4:7], -1), met.wo, beside=held)
     weight = group.converted(sample.weight)
-    # Ambient light is scattered; perfect mirrors and glass show what is met behind them.
-    even = jnp.where(last | sample.delta, 0.0, 1.0).astype(dtype)
-    light = light + even[:, None] * met.throughput * weight * sources.ambient[None]
+    if sources.has_ambient:
+        # It is scattered; perfect mirrors and glass show what is met behind them.
+        even = jnp.where(last | sample.delta, 0.0, 1.0).astype(dtype)
+        light = light + even[:, None] * met.throughput * weight * sources.ambient[None]
     towards = met.surface.outwards(sample.wi)
     if not group.transmits:
         side = jnp.where(met.front, 1.0, -1.0).astype(dtype)

@@ -325,6 +325,8 @@ class Sources(eqx.Module):
         Radiance of an even environment, [C]: it is met, not drawn.
     entry
         Of each primitive, its place in `Surfaces`; -1 where it emits nothing, [P], padded.
+    has_ambient
+        Whether there is ambient light; what it needs is left out otherwise.
     """
 
     ambient: Float[Array, " C"]
@@ -332,6 +334,7 @@ class Sources(eqx.Module):
     chances: Float[Array, " F"]
     constant: Float[Array, " C"] | None
     entry: Int[Array, " P"]
+    has_ambient: bool = eqx.field(static=True)
 
     def family(self, kind: type) -> tuple[Any, Float[Array, ""]]:
         """Sources of one kind and the chance of their family; None where there are none."""
@@ -426,7 +429,8 @@ def gather(scene: Scene, dtype: Any) -> Sources:
     chances = (1.0 - _LEAST) * chances + _LEAST * even
     if len(entry):
         entry = lengthened(entry, 1 << (len(entry) - 1).bit_length())
-    return Sources(ambient, tuple(families), chances, constant, jnp.asarray(entry))
+    has_ambient = any(isinstance(light, lights.Ambient) for light in scene.lights)
+    return Sources(ambient, tuple(families), chances, constant, jnp.asarray(entry), has_ambient)
 
 
 def chosen_as(lights: Sources, other: Sources) -> Sources:

@@ -30,6 +30,8 @@ class StandIns(eqx.Module):
         Radiance of an even environment, [C], for which the last beams stand; None for none.
     last
         Their number.
+    has_ambient
+        Whether there is ambient light.
     """
 
     beams: Beams
@@ -37,6 +39,7 @@ class StandIns(eqx.Module):
     ambient: Float[Array, " C"]
     even: Float[Array, " C"] | None
     last: int = eqx.field(static=True)
+    has_ambient: bool = eqx.field(static=True)
 
     @property
     def count(self) -> int:
@@ -92,6 +95,7 @@ def stand_ins(sources: Sources, count: int, sky: bool) -> StandIns:
         ambient,
         even,
         0 if even is None else count,
+        sources.has_ambient or (sources.constant is not None and not sky),
     )
 
 
