@@ -90,8 +90,8 @@ def test_points_of_patches_are_found_again(shape, rng):
     typed = scene.geometry.typed("float32")
     arrays = hits.primitive, hits.u, hits.v, position + 0.01 * normal, -normal, hits.distance
     moved = [np.asarray(a, np.int32 if k == 0 else np.float32) for k, a in enumerate(arrays)]
-    sheet, s, t, _ = formfactors._in_blocks(
-        lambda *a: formfactors._arrive(cut.sheets.charts, typed, *a), *moved
+    sheet, s, t, _ = formfactors.in_blocks(
+        lambda *a: formfactors.arrive(cut.sheets.charts, typed, *a), *moved
     )
     # At the very edge rounding may say the neighbour.
     assert (cut.table[cut.cell(sheet, s, t)] == which).mean() > 0.99

@@ -2,7 +2,6 @@
 
 import json
 
-import jax
 import numpy as np
 import PIL.Image
 import pytest
@@ -25,13 +24,6 @@ towards = [1, -1, 1]
 level = "incremental"
 spp = 2
 """
-
-
-@pytest.fixture(autouse=True)
-def as_users():
-    """Pictures with the promotion that users have; the tests of rendering are strict."""
-    with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):
-        yield
 
 
 @pytest.fixture

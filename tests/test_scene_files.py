@@ -75,13 +75,6 @@ def faults(tmp_path, text):
 
 
 @pytest.fixture
-def as_users():
-    """Pictures with the promotion that users have; the tests of rendering are strict."""
-    with jax.numpy_rank_promotion("allow"), jax.numpy_dtype_promotion("standard"):
-        yield
-
-
-@pytest.fixture
 def assets(tmp_path):
     folder = tmp_path / "assets"
     folder.mkdir()
@@ -144,7 +137,7 @@ def test_there_and_back_is_the_same_scene(tmp_path, assets):
     assert (deep / "a.toml").read_text() == (deep / "b.toml").read_text()
 
 
-def test_there_and_back_is_the_same_picture(tmp_path, as_users):
+def test_there_and_back_is_the_same_picture(tmp_path):
     floor = Textured(materials.Lambert(), colour=checkerboard(0.8, 0.2, repeat=(4.0, 4.0)))
     turned = translate(0.3, 0.1, 0.0) @ rotate((1, 2, 3), 33.0) @ scale(0.7)
     scene = Scene(

@@ -3,14 +3,13 @@
 Maps are in longitude and latitude: the first row at the zenith, columns from azimuth 0.
 """
 
-import importlib
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
 from diffopt.errors import InputError
-from diffopt.io.files import describe, existing_file, one_line, require_signature
+from diffopt.io.files import describe, existing_file, one_line, openexr, require_signature
 
 #: Suffixes of pictures; ``.npy`` is read as well.
 SUFFIXES = (".exr", ".hdr", ".png")
@@ -119,13 +118,7 @@ def _png(path: Path) -> np.ndarray:
 
 def _exr(path: Path) -> np.ndarray:
     require_signature(path, (b"\x76\x2f\x31\x01",), "an OpenEXR image")
-    try:
-        library = importlib.import_module("OpenEXR")
-    except ImportError:
-        raise InputError(
-            f"{path}: .exr needs the package OpenEXR: pip install 'diffopt-optics[exr]', or save "
-            "it as .npy or .hdr"
-        ) from None
+    library = openexr(path, "it as .npy or .hdr")
     try:
         parts = library.File(str(path)).channels()
     except (RuntimeError, ValueError, OSError) as error:

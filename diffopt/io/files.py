@@ -1,10 +1,12 @@
 """Checks made before a file is read, and writing that leaves no half-written file."""
 
 import contextlib
+import importlib
 import os
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import IO
 
 from diffopt.errors import InputError
@@ -93,6 +95,23 @@ def replacing(path: str | os.PathLike) -> Iterator[IO[bytes]]:
     except BaseException:
         aside.unlink(missing_ok=True)
         raise
+
+
+def openexr(path: str | os.PathLike, instead: str) -> ModuleType:
+    """The library that reads and writes .exr.
+
+    Raises
+    ------
+    InputError
+        If it is not installed; names the file and says what to do `instead`.
+    """
+    try:
+        return importlib.import_module("OpenEXR")
+    except ImportError:
+        raise InputError(
+            f"{path}: .exr needs the package OpenEXR: pip install 'diffopt-optics[exr]', or save "
+            f"{instead}"
+        ) from None
 
 
 def one_line(error: BaseException | str, limit: int = 160) -> str:

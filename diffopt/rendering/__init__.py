@@ -10,7 +10,7 @@
 `ambient`    even light in place of what a level leaves out
 `pathtrace`  everything, with a standard error
 `shading`    where a ray meets a surface
-`stage`      a scene as arrays: `groups` of materials, `sources` of light
+`stage`      a scene as arrays: `groups` of materials, `sources` of light of several `families`
 `standins`   abstract lights in place of all others
 `albedos`    of materials, for even light
 `queries`    what rays meet, asked or recorded; `recording`: for derivatives

@@ -104,7 +104,7 @@ class Direct:
         count, channels = rays.throughput.shape
         rays, hits, alive = queries.first(rays)
         for rows in shading.blocks(alive[hits.primitive[alive] < 0], count):
-            rays = _missed(stage.sources, rays, rows)
+            rays = shading.missed(stage.sources, rays, rows)
         parts, born = [], []
         dead = shading.dead(rays)
         for number, group, rows in stage.by_group(alive, hits):
@@ -151,14 +151,6 @@ def _lobes(group: Group, dtype: Any) -> int:
     """Number of coherent lobes of the materials of a group."""
     up = jax.ShapeDtypeStruct((3,), dtype)
     return len(eqx.filter_eval_shape(lambda m, wo: m.coherent(wo), group.kind, up))
-
-
-@eqx.filter_jit
-def _missed(sources: Sources, rays: Rays, rows: Int[Array, " n"]) -> Rays:
-    at = jnp.minimum(rows, rays.origin.shape[0] - 1)
-    radiance, _ = sources.surrounding(rays.direction[at])
-    collected = rays.radiance.at[rows].add(rays.throughput[at] * radiance, mode="drop")
-    return eqx.tree_at(lambda r: r.radiance, rays, collected)
 
 
 @eqx.filter_jit
@@ -263,7 +255,7 @@ def _towards(
         beams = lights.beams.towards.shape[0]
         from_even = (which >= beams - lights.last) & (which < beams)
         value = value * jnp.where(from_even, share, 1.0)
-    length = jnp.maximum(distance * (1.0 - 1e-4) - 2.0 * offset, 0.0)
+    length = shading.short_of(distance, offset)
     start = shading.leaving(met.surface, towards, offset)
     way = jax.lax.stop_gradient((start, towards, length))
     return shading.cast(shadow, rows, way, value)

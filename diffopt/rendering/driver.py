@@ -157,10 +157,9 @@ def _rays(
     matrix: Array, half: Array, resolution: Array, pixel: Array, inside: Array
 ) -> tuple[Array, Array]:
     """As `Camera.rays`, on the device."""
-    columns, rows = resolution[0], resolution[1]
+    columns = resolution[0]
     size = resolution.astype(jnp.float32)
     column, row = (pixel % columns).astype(jnp.float32), (pixel // columns).astype(jnp.float32)
-    del rows
     x = (column + inside[:, 0] - 0.5 * size[0]) * half
     y = (0.5 * size[1] - row - inside[:, 1]) * half
     right, up, back, place = matrix[None, :3].transpose(2, 0, 1)

@@ -1,16 +1,13 @@
 """Pictures as files: PNG by Pillow, EXR by OpenEXR, arrays by NumPy."""
 
-import importlib
 import json
-import os
-import uuid
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from diffopt.errors import InputError
-from diffopt.io.files import one_line, replacing
+from diffopt.io.files import one_line, openexr, replacing
 
 if TYPE_CHECKING:
     from diffopt.rendering.images import Image
@@ -44,15 +41,7 @@ def npz(image: "Image", path: Path, exposure: float | None) -> None:
 def exr(image: "Image", path: Path, exposure: float | None) -> None:
     """Write linear RGB and all layers, in 32 bits."""
     del exposure
-    try:
-        library = importlib.import_module("OpenEXR")
-    except ImportError:
-        raise InputError(
-            f"{path}: .exr needs the package OpenEXR: pip install 'diffopt-optics[exr]', or save "
-            "as .npz"
-        ) from None
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: the folder {path.parent} does not exist")
+    library = openexr(path, "as .npz")
     layers = {name: image.rgb[..., k] for k, name in enumerate("RGB")}
     layers |= {f"N.{name}": image.normal[..., k] for k, name in enumerate("XYZ")}
     layers["Z"] = image.depth
@@ -67,12 +56,9 @@ def exr(image: "Image", path: Path, exposure: float | None) -> None:
         "diffopt": json.dumps(image.summary()),
     }
     pixels = {name: np.ascontiguousarray(a, np.float32) for name, a in layers.items()}
-    # The library writes to a name of its own.
-    aside = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
-    try:
-        library.File(header, pixels).write(str(aside))
-        os.replace(aside, path)
-    except (RuntimeError, ValueError, OSError) as error:
-        raise InputError(f"{path}: cannot be written: {one_line(error)}") from error
-    finally:
-        aside.unlink(missing_ok=True)
+    with replacing(path) as file:
+        try:
+            # The library writes to a name, not to an open file.
+            library.File(header, pixels).write(file.name)
+        except (RuntimeError, ValueError, OSError) as error:
+            raise InputError(f"{path}: cannot be written: {one_line(error)}") from error

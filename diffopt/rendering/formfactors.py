@@ -156,15 +156,15 @@ def _cast(
     u = numbers(rays, seed, which).reshape(-1, 4)
     index = np.repeat(which, rays)
     origin, normal, *_ = patches.sample(index, u[:, :2])
-    towards, cosine = _in_blocks(_towards, jnp.asarray(u[:, 2:], jnp.float32), normal)
+    towards, cosine = in_blocks(_towards, jnp.asarray(u[:, 2:], jnp.float32), normal)
     origin = origin + caster.offset * normal
     hits = caster.first(origin, towards)
     met = hits.primitive >= 0
     distance = np.where(met, hits.distance, 0.0).astype(np.float32)
     primitive = np.maximum(hits.primitive, 0)
     if len(caster.geometry.owner):
-        sheet, s, t, arrival = _in_blocks(
-            lambda *a: _arrive(patches.sheets.charts, shapes, *a),
+        sheet, s, t, arrival = in_blocks(
+            lambda *a: arrive(patches.sheets.charts, shapes, *a),
             primitive,
             *(hits.u, hits.v, origin, towards, distance),
         )
@@ -185,7 +185,7 @@ def _cast(
     )
 
 
-def _in_blocks(function: Any, *arrays: Any) -> list[np.ndarray]:
+def in_blocks(function: Any, *arrays: Any) -> list[np.ndarray]:
     """A compiled function of rows, block by block of one size."""
     count = len(arrays[0])
     parts = []
@@ -207,9 +207,10 @@ def _towards(u: Array, normal: Array) -> tuple[Array, Array]:
 
 
 @eqx.filter_jit
-def _arrive(
+def arrive(
     found: Any, shapes: World, primitive: Any, u: Any, v: Any, origin: Any, way: Any, far: Any
 ) -> tuple[Array, ...]:
+    """Where rays arrive: sheet, its coordinates, and the cosine, negative for backs."""
     position = origin.astype(far.dtype) + far[:, None] * way
     surface = world.surface(shapes, primitive, u, v, position)
     arrival = -dot(surface.geometric, way)

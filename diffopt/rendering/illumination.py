@@ -15,9 +15,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from diffopt.kernels.frames import dot
-from diffopt.rendering.formfactors import ESCAPED, Casts, FormFactors, _in_blocks
+from diffopt.rendering import shading
+from diffopt.rendering.families import Beams, Points, Surfaces
+from diffopt.rendering.formfactors import ESCAPED, Casts, FormFactors, in_blocks
 from diffopt.rendering.patches import Patches
-from diffopt.rendering.sources import Beams, LobeSky, Points, Sky, Sources, Surfaces
+from diffopt.rendering.sources import Sources
 from diffopt.rendering.standins import evenly
 from diffopt.scenes.raycasting import Caster
 
@@ -83,7 +85,7 @@ class Drawn(eqx.Module):
         else:
             dtype = family.strength(1.0).dtype
             towards = self.towards.astype(dtype)
-            radiance = _radiance(family, towards)
+            radiance = family.radiance(towards)
         weight = self.weight.astype(radiance.dtype)[:, None]
         return (
             jnp.zeros((count, radiance.shape[1]), radiance.dtype)
@@ -210,7 +212,7 @@ def _asked(
     seen = np.zeros((len(flat), lights), bool)
     for k in range(lights):
         index = np.full(len(flat), k, np.int32)
-        towards, distance = _in_blocks(lambda *a: _towards(family, *a), index, flat)
+        towards, distance = in_blocks(lambda *a: _towards(family, *a), index, flat)
         rows = np.flatnonzero((towards * facing).sum(1) > 0.0)
         hidden = caster.blocked(flat[rows], towards[rows], distance[rows] * (1.0 - 1e-6))
         seen[rows, k] = ~hidden
@@ -234,12 +236,12 @@ def _drawn(
     samples: int,
 ) -> Drawn:
     """Both estimates of one family; the weights are those of their joint density."""
-    index, towards, distance, density = _in_blocks(
+    index, towards, distance, density = in_blocks(
         lambda *a: _draw(family, *a), ways.numbers.astype(np.float32), ways.position
     )
     cos = (towards * ways.normal).sum(1)
     rows = np.flatnonzero((cos > 0.0) & (density > 0.0) & (rays[ways.patch] > 0))
-    length = np.maximum(distance[rows] * (1.0 - 1e-4) - 2.0 * caster.offset, 0.0)
+    length = np.asarray(shading.short_of(distance[rows], caster.offset))
     hidden = caster.blocked(ways.position[rows], towards[rows], length)
     rows = rows[~hidden]
     # Radiance times cosine over the number of samples per steradian of both kinds.
@@ -286,7 +288,7 @@ def _met(
     index = entry[patch, ray]
     if not len(patch):
         return patch, cos, index, towards
-    (density,) = _in_blocks(
+    (density,) = in_blocks(
         lambda *a: _density(family, *a), index, origin, towards, distance, arrival
     )
     both = samples * density + rays[patch] * cos / math.pi
@@ -298,7 +300,7 @@ def _draw(family: Any, u: Array, position: Array) -> tuple[Array, ...]:
     found = family.draw(u, position)
     index = jnp.zeros(len(u), jnp.int32)
     if isinstance(family, Surfaces):
-        index = family.pick(u[:, 2])[0].astype(jnp.int32)
+        index = family.pick(u[:, 2]).astype(jnp.int32)
     return index, found.towards, found.distance, found.density
 
 
@@ -308,11 +310,4 @@ def _density(
 ) -> tuple[Array]:
     if isinstance(family, Surfaces):
         return (family.density(index, origin, towards, distance, arrival),)
-    if isinstance(family, Sky):
-        return (family.map.density(towards),)
-    assert isinstance(family, LobeSky)
     return (family.density(towards),)
-
-
-def _radiance(family: Any, towards: Array) -> Array:
-    return family.map.radiance(towards) if isinstance(family, Sky) else family.radiance(towards)

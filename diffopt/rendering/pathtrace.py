@@ -69,7 +69,7 @@ def trace(stage: Stage, rays: Rays, queries: Queries, key: PRNGKeyArray, depth: 
             break
         rays = shading.alive(rays, jnp.zeros(count, bool))
         for rows in shading.blocks(alive[hits.primitive[alive] < 0], count):
-            rays = _missed(stage.sources, rays, rows)
+            rays = shading.missed(stage.sources, rays, rows)
         shadow = shading.no_shadow(count, rays.throughput.shape[1], rays.origin.dtype)
         for number, group, rows in stage.by_group(alive, hits):
             for block in shading.blocks(rows, count):
@@ -90,17 +90,6 @@ def trace(stage: Stage, rays: Rays, queries: Queries, key: PRNGKeyArray, depth: 
                 )
         rays = queries.lit(rays, shadow)
     return rays
-
-
-@eqx.filter_jit
-def _missed(sources: Sources, rays: Rays, rows: Int[Array, " n"]) -> Rays:
-    """Light of the surroundings."""
-    at = jnp.minimum(rows, rays.origin.shape[0] - 1)
-    radiance, density = sources.surrounding(rays.direction[at])
-    weight = shading.heuristic(rays.density[at], density)
-    found = rays.throughput[at] * weight[:, None] * radiance
-    collected = rays.radiance.at[rows].add(found, mode="drop")
-    return eqx.tree_at(lambda r: r.radiance, rays, collected)
 
 
 @eqx.filter_jit
@@ -138,8 +127,7 @@ def _scatter(
         value = met.throughput * factor * drawn.value * weight[:, None]
         value = jnp.where(last, 0.0, value)
         start = shading.leaving(met.surface, towards, offset)
-        # Up to just before the source itself.
-        length = jnp.maximum(drawn.distance * (1.0 - 1e-4) - 2.0 * offset, 0.0)
+        length = shading.short_of(drawn.distance, offset)
         way = jax.lax.stop_gradient((start, towards, length))
         shadow = shading.cast(shadow, rows, way, value)
 
@@ -151,11 +139,7 @@ def _scatter(
         even = jnp.where(last | sample.delta, 0.0, 1.0).astype(dtype)
         light = light + even[:, None] * met.throughput * weight * sources.ambient[None]
     towards = met.surface.outwards(sample.wi)
-    if not group.transmits:
-        side = jnp.where(met.front, 1.0, -1.0).astype(dtype)
-        above = side * dot(met.surface.geometric, towards) > 0.0
-        weight = jnp.where(above[:, None], weight, 0.0)
-    throughput = met.throughput * weight
+    throughput = met.throughput * shading.kept_above(group, met, towards, weight)
     brightest = jax.lax.stop_gradient(throughput.max(-1))
     # With derivatives all paths go on, so that their chance is no function of the scene.
     first = _ROULETTE if held is None else np.uint32(2**31)

@@ -19,12 +19,12 @@ from jaxtyping import Array, Float
 
 from diffopt.errors import InputError
 from diffopt.rendering import formfactors, illumination, patches, smoothing, sources
+from diffopt.rendering.families import Beams, LobeSky, Points, Sky, Surfaces
 from diffopt.rendering.formfactors import FormFactors
 from diffopt.rendering.illumination import Illumination
 from diffopt.rendering.patches import Patches
 from diffopt.rendering.radiosity_settings import MOST, RadiositySettings
 from diffopt.rendering.smoothing import Field, Smoother
-from diffopt.rendering.sources import Beams, LobeSky, Points, Sky, Surfaces
 from diffopt.rendering.stage import Stage
 from diffopt.scenes import raycasting, shapes
 from diffopt.scenes.scene import Scene
@@ -192,7 +192,7 @@ def prepare(scene: Scene, settings: RadiositySettings) -> Transport:
             "and pass solve its transport"
         )
     found = sources.gather(scene, "float32")
-    caster = raycasting.caster(scene.geometry, settings.backend)  # type: ignore[arg-type]
+    caster = raycasting.caster(scene.geometry, settings.backend)
     seen = _backs(scene, found, caster, settings.seed)
     cut = patches.cut(scene, settings.patches, settings.refinements, seen)
     if cut.count > MOST:
@@ -326,8 +326,8 @@ def _backs(scene: Scene, found: sources.Sources, caster: Any, seed: int) -> np.n
         values = (a[rows] for a in (hits.primitive, hits.u, hits.v, origin, towards))
         moved = [np.asarray(a, a.dtype if a.dtype.kind == "i" else np.float32) for a in values]
         typed = geometry.typed("float32")
-        *_, arrival = formfactors._in_blocks(
-            lambda *a, typed=typed: formfactors._arrive(blank, typed, *a),
+        *_, arrival = formfactors.in_blocks(
+            lambda *a, typed=typed: formfactors.arrive(blank, typed, *a),
             *moved,
             hits.distance[rows],
         )

@@ -15,8 +15,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from diffopt.kernels.frames import dot
+from diffopt.rendering.families import Surfaces
 from diffopt.rendering.groups import Group
-from diffopt.rendering.sources import Sources, Surfaces
+from diffopt.rendering.sources import Sources
 from diffopt.scenes import world
 from diffopt.scenes.raycasting import Hits
 from diffopt.scenes.world import Surface, World
@@ -240,11 +241,34 @@ def reflected(
 
     value, density = group.each(one, met.member, met.surface, wi, met.wo)
     value = group.converted(value) * jnp.abs(wi[:, 2:])
-    if not group.transmits:
-        side = jnp.where(met.front, 1.0, -1.0).astype(wi.dtype)
-        above = side * dot(met.surface.geometric, towards) > 0.0
-        value = jnp.where(above[:, None], value, 0.0)
-    return value, density
+    return kept_above(group, met, towards, value), density
+
+
+def kept_above(
+    group: Group, met: Meeting, towards: Float[Array, "n 3"], value: Float[Array, "n C"]
+) -> Float[Array, "n C"]:
+    """Values of directions on the viewer's side, 0 on the other one unless light passes."""
+    if group.transmits:
+        return value
+    side = jnp.where(met.front, 1.0, -1.0).astype(towards.dtype)
+    above = side * dot(met.surface.geometric, towards) > 0.0
+    return jnp.where(above[:, None], value, 0.0)
+
+
+def short_of(distance: Float[Array | np.ndarray, " n"], offset: Any) -> Float[Array, " n"]:
+    """Length of a ray to a light that ends just before the light's own surface."""
+    return jnp.maximum(distance * (1.0 - 1e-4) - 2.0 * offset, 0.0)
+
+
+@eqx.filter_jit
+def missed(sources: Sources, rays: Rays, rows: Int[Array, " n"]) -> Rays:
+    """Rays of which some see the surroundings, weighted as in `emitted`."""
+    at = jnp.minimum(rows, rays.origin.shape[0] - 1)
+    radiance, density = sources.surrounding(rays.direction[at])
+    weight = heuristic(rays.density[at], density)
+    found = rays.throughput[at] * weight[:, None] * radiance
+    collected = rays.radiance.at[rows].add(found, mode="drop")
+    return eqx.tree_at(lambda r: r.radiance, rays, collected)
 
 
 def leaving(surface: Surface, towards: Float[Array, "n 3"], offset: Any) -> Float[Array, "n 3"]:

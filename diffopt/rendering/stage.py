@@ -63,8 +63,6 @@ class Stage:
         owner = geometry.owner
         group = np.asarray(found.group, np.int32)[owner] if len(owner) else owner
         member = np.asarray(found.member, np.int32)[owner] if len(owner) else owner
-        if len(owner):
-            member = lengthened(member, 1 << (len(member) - 1).bit_length())
         lights = sources.gather(scene, dtype)
         if held is not None:
             lights = sources.chosen_as(lights, sources.gather(held, dtype))
@@ -72,7 +70,7 @@ class Stage:
             "world": geometry.typed(dtype),
             "groups": found.groups,
             "group": group,
-            "member": jnp.asarray(member),
+            "member": jnp.asarray(lengthened(member)),
             "sources": lights,
             "offset": jnp.asarray(raycasting.OFFSET * geometry.radius, dtype),
             "held": None if held is None else grouped(held, dtype).groups,

@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffopt.kernels import frames
-from diffopt.rendering.sources import Beams, LobeSky, Points, Sky, Sources, Surfaces
+from diffopt.rendering.families import Beams, LobeSky, Points, Sky, Surfaces
+from diffopt.rendering.sources import Sources
 
 # Powers of the fractions that fill a cube evenly (Roberts 2018).
 _STEP = 1.22074408460575947536
@@ -102,7 +103,7 @@ def stand_ins(sources: Sources, count: int, sky: bool) -> StandIns:
 def _on_surfaces(family: Surfaces, numbers: Float[Array, "n 3"]) -> tuple[Array, ...]:
     """Points on surfaces that emit, each with its share of their power."""
     count = numbers.shape[0]
-    index, _ = family.pick(numbers[:, 2])
+    index = family.pick(numbers[:, 2])
     position, normal = family.place(index, numbers[:, :2])
     share = family.shares[index] * count
     intensity = family.radiance[index] * (family.area[index] / share)[:, None]

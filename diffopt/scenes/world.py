@@ -139,18 +139,15 @@ def owners(patches: Sequence[Triangles | Round]) -> Int[np.ndarray, " P"]:
 
 def padded(world: World) -> World:
     """A world whose arrays have a power of two of rows, or none: the last one is repeated."""
-
-    def longer(array: np.ndarray) -> np.ndarray:
-        if array.ndim == 0 or len(array) == 0:
-            return array
-        return lengthened(array, 1 << (len(array) - 1).bit_length())
-
-    return jax.tree.map(longer, world)
+    return jax.tree.map(lengthened, world)
 
 
-def lengthened(array: np.ndarray, count: int) -> np.ndarray:
-    """An array with rows up to a count, the last one repeated."""
-    return np.concatenate([array, np.repeat(array[-1:], count - len(array), axis=0)])
+def lengthened(array: np.ndarray) -> np.ndarray:
+    """An array with rows up to a power of two, the last one repeated; numbers as they are."""
+    if array.ndim == 0 or len(array) == 0:
+        return array
+    spare = (1 << (len(array) - 1).bit_length()) - len(array)
+    return np.concatenate([array, np.repeat(array[-1:], spare, axis=0)])
 
 
 def surface(
