@@ -153,7 +153,7 @@ def residuals(
         - falling[..., None] * falls[None]
         + sum(turning[..., i, None] * d[i][None] for i in range(3))
     )
-    # Written out: as a reduction it was handed to a library, for 100 instead of 2 microseconds.
+    # Written out: as a reduction it was handed to a library call, which took longer.
     together = functools.reduce(jnp.add, list(weight[:, None] * shape))
     return together - given.target, rows.reshape(-1, given.root.shape[0])
 
