@@ -132,7 +132,7 @@ def test_equal_seeds_give_equal_pictures_in_any_batches():
 def test_changed_numbers_compile_nothing():
     scene = ball_on_floor(Lambert(np.full(3, 0.6)), [POINT], objects=[lamp()])
     rendering.render(scene, CAMERA, "path", **TOGETHER)
-    before = pathtrace._scatter._cached._cache_size()
+    before = pathtrace._scatter.count
     other = eqx.tree_at(
         lambda s: (s.objects[0].material.colour, s.lights[0].position),
         scene,
@@ -140,7 +140,7 @@ def test_changed_numbers_compile_nothing():
     )
     moved = scenes.Camera(eye=(1.0, -5.0, 1.0), resolution=(24, 16))
     rendering.render(other, moved, "path", seed=3, **TOGETHER)
-    assert pathtrace._scatter._cached._cache_size() == before
+    assert pathtrace._scatter.count == before
 
 
 GRADIENTS = {

@@ -13,6 +13,7 @@
 `stage`      a scene as arrays: `groups` of materials, `sources` of light of several `families`
 `standins`   abstract lights in place of all others
 `albedos`    of materials, for even light
+`rows`       of arrays, between compiled `programs`
 `queries`    what rays meet, asked or recorded; `recording`: for derivatives
 `images`     pictures; `files`: what they are written to
 ===========  ===================================================================

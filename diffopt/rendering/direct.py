@@ -167,13 +167,13 @@ def _shade(
     field: Field | None,
 ) -> tuple[Rays, Meeting]:
     """Where rows meet a group; what it emits and what it reflects of even light."""
-    met = shading.meet(group, world, rays, hits, member, rows)
-    light = shading.emitted(met, sources, rays, rows, drawn=False)
+    some, there = shading.chosen(rays, hits, rows)
+    met = shading.meet(group, world, some, there, member)
+    light = shading.emitted(met, sources, some, drawn=False)
     if table is not None:
         even = ambient[None]
         if field is not None:
-            at = jnp.minimum(rows, rays.origin.shape[0] - 1)
-            place = hits.u[at], hits.v[at], met.surface.position
+            place = jnp.asarray(there.u), jnp.asarray(there.v), met.surface.position
             even = even + field.at(met.primitive, *place, met.front)
         light = light + table.at(group, met) * even
     collected = rays.radiance.at[rows].add(met.throughput * light, mode="drop")

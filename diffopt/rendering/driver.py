@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -87,7 +88,7 @@ def picture(
                 total += found.sum(axis=1)
                 squares += (found * found).sum(axis=1)
             image.fill(pixels, total[: len(pixels)], squares[: len(pixels)], settings.spp)
-            _layers(image, camera, scene, caster, stage, pixels)
+            _layers(image, camera, scene, caster, pixels, size)
             if progress is not None:
                 progress(number + 1, len(runs))
     except KeyboardInterrupt:
@@ -169,23 +170,26 @@ def _rays(
 
 
 def _layers(
-    image: Image, camera: Camera, scene: Scene, caster: Any, stage: Stage, pixels: np.ndarray
+    image: Image, camera: Camera, scene: Scene, caster: Any, pixels: np.ndarray, size: int
 ) -> None:
-    """Depth, normals and objects at the middle of pixels."""
+    """Depth, normals and objects at the middle of pixels; a program for up to `size` of them."""
     origin, along = camera.rays(pixels)
     hits = caster.first(origin, along)
     met = hits.primitive >= 0
     image.depth.reshape(-1)[pixels] = hits.distance
     if not met.any():
         return
-    found = world.surface(
-        scene.geometry.typed("float32"),
-        jnp.asarray(np.maximum(hits.primitive, 0)),
-        jnp.asarray(hits.u),
-        jnp.asarray(hits.v),
-        jnp.asarray(origin + np.where(met, hits.distance, 0.0)[:, None] * along, jnp.float32),
-    )
-    normal = np.asarray(found.normal)
+    reached = origin + np.where(met, hits.distance, 0.0)[:, None] * along
+    parts = np.maximum(hits.primitive, 0), hits.u, hits.v, reached.astype(np.float32)
+    # The last tile may be short.
+    whole = [np.concatenate([a, np.repeat(a[:1], size - len(a), axis=0)]) for a in parts]
+    normal = np.asarray(_normals(scene.geometry.typed("float32"), *whole))[: len(pixels)]
     normal = np.where((normal * along).sum(-1, keepdims=True) > 0.0, -normal, normal)
     image.normal.reshape(-1, 3)[pixels] = np.where(met[:, None], normal, 0.0)
     image.object.reshape(-1)[pixels] = np.where(met, scene.geometry.owner[hits.primitive], -1)
+
+
+@eqx.filter_jit
+def _normals(shapes: Any, primitive: Any, u: Any, v: Any, reached: Any) -> Array:
+    arrays = (jnp.asarray(a) for a in (primitive, u, v, reached))
+    return world.surface(shapes, *arrays).normal

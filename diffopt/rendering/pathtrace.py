@@ -12,13 +12,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int, PRNGKeyArray
+from jaxtyping import Array, PRNGKeyArray
 
 from diffopt.kernels import uniforms
 from diffopt.kernels.frames import dot
 from diffopt.materials.base import Sample, mask, times
-from diffopt.rendering import shading
+from diffopt.rendering import rows, shading
 from diffopt.rendering.groups import Group
+from diffopt.rendering.programs import Program
 from diffopt.rendering.queries import Queries
 from diffopt.rendering.settings import PathSettings
 from diffopt.rendering.shading import Rays, Shadow
@@ -62,61 +63,69 @@ def trace(stage: Stage, rays: Rays, queries: Queries, key: PRNGKeyArray, depth: 
     depth
         Surfaces that light may be scattered at, at most.
     """
-    count = rays.origin.shape[0]
+    scatter, missed = _scatter, _missed
+    if stage.held is not None:
+        scatter, missed = _differentiable_scatter, _differentiable_missed
+    count, channels = rays.throughput.shape
+    size = min(rows.block(), count)
+    # The last row takes what padding collects.
+    total, home = np.zeros((count + 1, channels), stage.dtype), np.arange(count, dtype=np.int32)
+    first = rays
     for bounce in range(depth + 1):
         rays, hits, alive = queries.first(rays)
         if not len(alive):
             break
-        rays = shading.alive(rays, jnp.zeros(count, bool))
-        for rows in shading.blocks(alive[hits.primitive[alive] < 0], count):
-            rays = shading.missed(stage.sources, rays, rows)
-        shadow = shading.no_shadow(count, rays.throughput.shape[1], rays.origin.dtype)
-        for number, group, rows in stage.by_group(alive, hits):
-            for block in shading.blocks(rows, count):
-                rays, shadow = _scatter(
-                    group,
-                    stage.world,
-                    stage.sources,
-                    stage.member,
-                    key,
-                    rays,
-                    shadow,
-                    hits,
-                    block,
-                    jnp.asarray(bounce, jnp.uint32),
-                    jnp.asarray(bounce == depth),
-                    stage.offset,
-                    None if stage.held is None else stage.held[number],
-                )
-        rays = queries.lit(rays, shadow)
-    return rays
+        for block, wanted in rows.blocks(alive[hits.primitive[alive] < 0], size):
+            seen = missed(stage.sources, rows.taken(rays, block))
+            total = rows.added(total, _homes(home, block, wanted, count), seen)
+        parts, homes = [], []
+        number_of = np.asarray(bounce, np.uint32), np.asarray(bounce == depth)
+        for number, group, here in stage.by_group(alive, hits):
+            held = None if stage.held is None else stage.held[number]
+            for block, wanted in rows.blocks(here, size):
+                some = shading.alive(rows.taken(rays, block), np.arange(size) < wanted)
+                met = rows.taken(hits, block)
+                scene = stage.world, stage.sources, stage.member, key
+                parts.append(scatter(group, *scene, some, met, *number_of, stage.offset, held))
+                homes.append(_homes(home, block, wanted, count))
+        if not parts:
+            break
+        rays, shadow = rows.joined(parts)
+        home = np.concatenate(homes)
+        light = rays.radiance + rows.where(queries.seen(shadow), shadow.value)
+        total = rows.added(total, home, light)
+    return eqx.tree_at(lambda r: r.radiance, first, jnp.asarray(total[:count]))
 
 
-@eqx.filter_jit
-def _scatter(
+def _homes(home: np.ndarray, block: np.ndarray, wanted: int, count: int) -> np.ndarray:
+    """Rows of the camera that the rows of a block come from; `count` for its padding."""
+    found = home[block]
+    found[wanted:] = count
+    return found
+
+
+def _bounce(
     group: Group,
     world: World,
     sources: Sources,
     member: Array,
     key: PRNGKeyArray,
     rays: Rays,
-    shadow: Shadow,
     hits: Hits,
-    rows: Int[Array, " n"],
-    bounce: Array,
-    last: Array,
+    bounce: Array | np.ndarray,
+    last: Array | np.ndarray,
     offset: Array,
     held: Group | None,
 ) -> tuple[Rays, Shadow]:
-    """One bounce of rows of one group: light collected, light drawn, the next direction."""
-    met = shading.meet(group, world, rays, hits, member, rows)
-    at = jnp.minimum(rows, rays.origin.shape[0] - 1)
+    """One bounce of rays that meet one group: the light collected, that drawn, the next rays."""
+    met = shading.meet(group, world, rays, hits, member)
     dtype = met.wo.dtype
-    light = met.throughput * shading.emitted(met, sources, rays, rows, drawn=True)
-    first = rays.sample[at] * np.uint32(shading.WORDS) + (bounce + np.uint32(1)) * np.uint32(4)
-    pairs = [uniforms.at(key, rays.pixel[at], first + np.uint32(k)) for k in range(4)]
+    light = met.throughput * shading.emitted(met, sources, rays, drawn=True)
+    first = rays.sample * np.uint32(shading.WORDS) + (bounce + np.uint32(1)) * np.uint32(4)
+    pairs = [uniforms.at(key, rays.pixel, first + np.uint32(k)) for k in range(4)]
     u = [number.astype(dtype) for pair in pairs for number in pair]
 
+    shadow = shading.no_shadow(len(first), group.channels, dtype)
     if group.kind.smooth and sources.families:
         drawn = sources.draw(jnp.stack(u[:4], -1), met.surface.position)
         towards = drawn.towards
@@ -125,11 +134,10 @@ def _scatter(
             _, own = shading.reflected(held, met, towards, densities=True)
         weight = jax.lax.stop_gradient(shading.heuristic(drawn.density, own))
         value = met.throughput * factor * drawn.value * weight[:, None]
-        value = jnp.where(last, 0.0, value)
+        value = jnp.where((rays.alive & ~last)[:, None], value, 0.0)
         start = shading.leaving(met.surface, towards, offset)
         length = shading.short_of(drawn.distance, offset)
-        way = jax.lax.stop_gradient((start, towards, length))
-        shadow = shading.cast(shadow, rows, way, value)
+        shadow = Shadow(*jax.lax.stop_gradient((start, towards, length)), value)
 
     draw = _drawn if held is None else _held
     sample = group.each(draw, met.member, met.surface, jnp.stack(u[4:7], -1), met.wo, beside=held)
@@ -144,21 +152,17 @@ def _scatter(
     # With derivatives all paths go on, so that their chance is no function of the scene.
     first = _ROULETTE if held is None else np.uint32(2**31)
     stays = jnp.where(bounce >= first, jnp.minimum(brightest, _MOST), 1.0)
-    lives = (brightest > 0.0) & (u[7] < stays) & ~last
+    lives = rays.alive & (brightest > 0.0) & (u[7] < stays) & ~last
     throughput = throughput / jnp.where(stays > 0.0, stays, 1.0)[:, None]
     fixed = jax.lax.stop_gradient((shading.leaving(met.surface, towards, offset), towards))
     density = jax.lax.stop_gradient(jnp.where(sample.delta, jnp.inf, sample.pdf))
-    rays = Rays(
-        rays.origin.at[rows].set(fixed[0], mode="drop"),
-        rays.direction.at[rows].set(fixed[1], mode="drop"),
-        rays.throughput.at[rows].set(throughput, mode="drop"),
-        rays.density.at[rows].set(density, mode="drop"),
-        rays.radiance.at[rows].add(light, mode="drop"),
-        rays.alive.at[rows].set(lives, mode="drop"),
-        rays.pixel,
-        rays.sample,
-    )
-    return rays, shadow
+    onwards = Rays(*fixed, throughput, density, light, lives, rays.pixel, rays.sample)
+    return onwards, shadow
+
+
+# Derivatives cannot pass a program with options of its own.
+_scatter, _differentiable_scatter = Program(_bounce), eqx.filter_jit(_bounce)
+_missed, _differentiable_missed = (f(shading.surroundings) for f in (Program, eqx.filter_jit))
 
 
 def _drawn(material: Any, u: Array, wo: Array) -> Sample:

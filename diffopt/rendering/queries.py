@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Int
 
 from diffopt.rendering.shading import Rays, Shadow
 from diffopt.scenes.raycasting import Caster, Hits
@@ -91,21 +91,25 @@ class Queries:
 
     def lit(self, rays: Rays, shadow: Shadow) -> Rays:
         """Add the light that nothing hides."""
+        return _added(rays, shadow.value, jnp.asarray(self.seen(shadow)))
+
+    def seen(self, shadow: Shadow) -> Bool[np.ndarray, " N"]:
+        """Whether there is light that nothing hides."""
 
         def ask() -> np.ndarray:
             assert self.caster is not None
-            rows = np.flatnonzero(_bright(shadow.value))
+            value = np.asarray(shadow.value)
+            # Channel by channel: a maximum along so short an axis takes longer.
+            bright = np.zeros(len(value), bool)
+            for channel in value.T:
+                bright |= channel != 0.0
+            rows = np.flatnonzero(bright)
             way = (np.asarray(a)[rows] for a in (shadow.origin, shadow.towards, shadow.length))
             seen = np.zeros(len(shadow.length), bool)
             seen[rows] = ~self.caster.blocked(*way)
             return seen
 
-        return _added(rays, shadow.value, jnp.asarray(self._answer(ask)))
-
-
-@jax.jit
-def _bright(value: Float[Array, "N C"]) -> Bool[Array, " N"]:
-    return (value != 0.0).any(1)
+        return self._answer(ask)
 
 
 @eqx.filter_jit

@@ -120,7 +120,7 @@ def camera_rays(
     )
 
 
-def alive(rays: Rays, which: Bool[Array, " N"]) -> Rays:
+def alive(rays: Rays, which: Bool[Array | np.ndarray, " N"]) -> Rays:
     """The rays, of which only some go on."""
     return eqx.tree_at(lambda r: r.alive, rays, which)
 
@@ -167,27 +167,28 @@ def blocks(rows: Int[np.ndarray, " n"], count: int) -> list[Int[Array, " B"]]:
     return [jnp.asarray(block) for block in padded.reshape(-1, size)]
 
 
-def meet(
-    group: Group, scene: World, rays: Rays, hits: Hits, member: Array, rows: Int[Array, " n"]
-) -> Meeting:
-    """Where some of the rays meet surfaces of a group."""
+def chosen(rays: Rays, hits: Hits, rows: Int[Array, " n"]) -> tuple[Rays, Hits]:
+    """Some of the rays and what they meet; any for padding."""
     at = jnp.minimum(rows, rays.origin.shape[0] - 1)
-    primitive, distance = hits.primitive[at], hits.distance[at]
+    return jax.tree.map(lambda a: a[at], (rays, hits))
+
+
+def meet(group: Group, scene: World, rays: Rays, hits: Hits, member: Array) -> Meeting:
+    """Where rays meet surfaces of a group."""
     # Padding may have met nothing.
-    primitive = jnp.maximum(primitive, 0)
+    primitive = jnp.maximum(jnp.asarray(hits.primitive), 0)
+    distance = jnp.asarray(hits.distance)
     distance = jnp.where(jnp.isfinite(distance), distance, 0.0).astype(rays.origin.dtype)
-    direction = rays.direction[at]
-    reached = rays.origin[at] + distance[:, None] * direction
-    u, v = (a[at].astype(direction.dtype) for a in (hits.u, hits.v))
+    direction = rays.direction
+    reached = rays.origin + distance[:, None] * direction
+    u, v = (jnp.asarray(a).astype(direction.dtype) for a in (hits.u, hits.v))
     found = world.surface(scene, primitive, u, v, reached)
     seen, front = world.facing(found, -direction, both=group.transmits)
     wo = seen.local(-direction)
-    return Meeting(seen, wo, front, member[primitive], primitive, distance, rays.throughput[at])
+    return Meeting(seen, wo, front, member[primitive], primitive, distance, rays.throughput)
 
 
-def emitted(
-    met: Meeting, sources: Sources, rays: Rays, rows: Array, *, drawn: bool
-) -> Float[Array, "n C"]:
+def emitted(met: Meeting, sources: Sources, rays: Rays, *, drawn: bool) -> Float[Array, "n C"]:
     """Radiance that the surfaces emit towards the viewer.
 
     Parameters
@@ -196,8 +197,8 @@ def emitted(
         Where rays meet them.
     sources
         The lights.
-    rays, rows
-        All rays, and which of them.
+    rays
+        Those that meet them.
     drawn
         Whether the light was drawn as well, at the surface before: it then gets the rest of
         the weight, by the power heuristic of Veach (1997).
@@ -210,12 +211,10 @@ def emitted(
     lit = (entry >= 0) & met.front
     weight = lit.astype(met.wo.dtype)
     if drawn:
-        at = jnp.minimum(rows, rays.origin.shape[0] - 1)
-        own = rays.density[at]
-        towards = rays.direction[at]
+        towards = rays.direction
         cos = -dot(towards, met.surface.geometric)
-        other = chance * family.density(index, rays.origin[at], towards, met.distance, cos)
-        weight = weight * heuristic(own, other)
+        other = chance * family.density(index, rays.origin, towards, met.distance, cos)
+        weight = weight * heuristic(rays.density, other)
     return weight[:, None] * family.radiance[index]
 
 
@@ -264,11 +263,16 @@ def short_of(distance: Float[Array | np.ndarray, " n"], offset: Any) -> Float[Ar
 def missed(sources: Sources, rays: Rays, rows: Int[Array, " n"]) -> Rays:
     """Rays of which some see the surroundings, weighted as in `emitted`."""
     at = jnp.minimum(rows, rays.origin.shape[0] - 1)
-    radiance, density = sources.surrounding(rays.direction[at])
-    weight = heuristic(rays.density[at], density)
-    found = rays.throughput[at] * weight[:, None] * radiance
+    found = surroundings(sources, jax.tree.map(lambda a: a[at], rays))
     collected = rays.radiance.at[rows].add(found, mode="drop")
     return eqx.tree_at(lambda r: r.radiance, rays, collected)
+
+
+def surroundings(sources: Sources, rays: Rays) -> Float[Array, "n C"]:
+    """Light that rays bring from the surroundings, weighted as in `emitted`."""
+    radiance, density = sources.surrounding(rays.direction)
+    weight = heuristic(rays.density, density)
+    return rays.throughput * weight[:, None] * radiance
 
 
 def leaving(surface: Surface, towards: Float[Array, "n 3"], offset: Any) -> Float[Array, "n 3"]:
