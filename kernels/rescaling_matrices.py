@@ -16,6 +16,7 @@ The source of M is a function on the sphere ("sphere"), one that vanishes on the
 
 from functools import lru_cache
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -123,7 +124,7 @@ def _mapped(s: Array, c: Array, over: Array, under: Array) -> tuple[Array, Array
     norm2 = (over * s) ** 2 + across * across
     norm = jnp.sqrt(norm2)
     sine, cosine = over * s / norm, across / norm
-    return sine, jnp.stack([sine, jnp.zeros_like(sine), cosine], -1), over * under / norm2
+    return sine, _direction(sine, cosine), over * under / norm2
 
 
 def tangent(
@@ -173,9 +174,58 @@ def tangent(
     k = jnp.minimum(k, 0.9999)[..., None]
     sine = k * u_sine
     cosine = jnp.sqrt(u_cosine**2 + (1.0 - k) * (1.0 + k) * u_sine**2)
-    rows = harmonics.basis(jnp.stack([sine, jnp.zeros_like(sine), cosine], -1), bands)
+    rows = harmonics.basis(_direction(sine, cosine), bands)
     near = jnp.broadcast_to(near, near.shape[:1] + sine.shape)
     return _entries(rows, near, slope * k * k / cosine, bands, columns)
+
+
+def sphere_rule(k: Float[Array, "..."], bands: int, *, nodes: int = 32) -> Float[Array, "n ..."]:
+    """Entries for `rescaling.sphere_rule`, of a source that is 0 on the far hemisphere.
+
+    For k < 1 the map rises and falls again: its rising part is taken, where the nearer of two
+    silhouettes lies; angles beyond are dropped.
+
+    Parameters
+    ----------
+    k
+        Radius over distance, > 0.
+    bands
+        L.
+    nodes
+        Of Gauss-Legendre quadrature, on each side of the corner at 3 pi / 8.
+    """
+    x, weight = (jnp.asarray(part, k.dtype).reshape((1,) * k.ndim + (-1,)) for part in _rule(nodes))
+    k = k[..., None]
+    corner = 0.375 * jnp.pi
+    s, c = jnp.sin(corner * x), jnp.cos(corner * x)
+    one = jnp.ones_like(k)
+    sine, far, slope = _mapped(s, c, k, one)
+    near = jnp.broadcast_to(_direction(s, c), far.shape)
+    # On the sphere, by the angle below pi / 2: from pi / 8 down to that at which the map turns,
+    # with a slope of 0 there, so that no derivative of the end is needed.
+    turn = jax.lax.stop_gradient(0.5 * jnp.arccos(jnp.minimum(k, 1.0)))
+    left = jnp.maximum(0.125 * jnp.pi - turn, 0.0)
+    below = jnp.minimum(turn, 0.125 * jnp.pi) + left * (1.0 - x) ** 2
+    s2 = jnp.sin(below) ** 2
+    norm2 = (1.0 - k) ** 2 + 4.0 * k * s2
+    norm = jnp.sqrt(norm2)
+    rise = 2.0 * k * ((k - 1.0) + 2.0 * s2) / norm2
+    over_sine, over_cosine = k * jnp.sin(2.0 * below) / norm, ((1.0 - k) + 2.0 * k * s2) / norm
+    over = 2.0 * left * (1.0 - x) * weight * rise * over_sine
+    return _entries(
+        harmonics.basis(jnp.concatenate([far, _direction(over_sine, over_cosine)], -2), bands),
+        harmonics.basis(
+            jnp.concatenate([near, _direction(jnp.cos(below), jnp.sin(below))], -2), bands
+        ),
+        jnp.concatenate([corner * weight * slope * sine, over], -1),
+        bands,
+        bands,
+    )
+
+
+def _direction(sine: Array, cosine: Array) -> Array:
+    """Unit vectors at azimuth 0."""
+    return jnp.stack([sine, jnp.zeros_like(sine), cosine], -1)
 
 
 def dense(
@@ -196,7 +246,8 @@ def apply(
     """M S from the distinct entries: 44 products at four bands in place of 256."""
     columns = harmonics.bands_of(coefficients)
     rows: list = [None] * (bands * bands)
-    for slot, (m, row, column) in enumerate(zip(*places(bands, columns), strict=True)):
+    entered = zip(*(part.tolist() for part in places(bands, columns)), strict=True)
+    for slot, (m, row, column) in enumerate(entered):
         for sign in {1, -1} if m else {1}:
             term = entries[slot] * coefficients[index(column, sign * m)]
             place = index(row, sign * m)

@@ -4,12 +4,14 @@ import importlib
 import inspect
 import pkgutil
 from functools import cache, partial
+from typing import get_args
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from hard_cases import LD, rows
+from harmonic_cases import harmonic_rows
 from intersect_cases import intersect_rows
 from lobe_cases import lobe_rows
 from material_cases import material_rows
@@ -18,6 +20,7 @@ from tabulated_cases import tabulated_rows
 import diffopt.kernels
 
 ROWS = [*rows(), *material_rows(), *tabulated_rows(), *lobe_rows(), *intersect_rows()]
+ROWS += harmonic_rows()
 IDS = [f"{r.kernel}-{r.label}".replace(" ", "") for r in ROWS]
 # Differences of the 80-bit twin over at most 1e-8: 1e-11 of rounding; over 1e-9 at cosines of
 # 1.7e-5, 4e-9 of the third derivative.
@@ -33,9 +36,15 @@ def public_kernels():
                 continue
             if getattr(function, "__module__", None) != module.__name__:
                 continue
-            if inspect.signature(function).return_annotation in (float, int, np.ndarray):
+            if on_the_host(inspect.signature(function).return_annotation):
                 continue  # bounds and set-up on the host, tested beside their kernels
             yield f"{info.name}.{name}"
+
+
+def on_the_host(kind):
+    """Numbers and NumPy's arrays, and tuples and lists of them."""
+    parts = get_args(kind)
+    return kind in (float, int, np.ndarray) or (bool(parts) and all(map(on_the_host, parts)))
 
 
 def test_every_kernel_has_rows():
