@@ -10,7 +10,7 @@ import pytest
 from diffopt import rendering, scenes
 from diffopt.errors import InputError
 from diffopt.materials import Dielectric, Lambert, Microfacet, Mirror, RoughDielectric
-from diffopt.rendering import driver, pathtrace, shading
+from diffopt.rendering import driver, pathtrace, shading, workers
 from diffopt.rendering.pathtrace import Paths
 from diffopt.rendering.settings import PathSettings
 from diffopt.scenes import raycasting
@@ -225,6 +225,41 @@ def test_interruption_keeps_finished_tiles(monkeypatch):
     assert image.done.sum() == 256
     np.testing.assert_array_equal(image.radiance[image.done], whole.radiance[image.done])
     assert not image.radiance[~image.done].any()
+
+
+def test_paths_by_threads_are_the_same(monkeypatch):
+    scene = ball_on_floor(Lambert(np.full(3, 0.6)), [POINT], objects=[lamp()])
+    images = []
+    for count in (1, 3):
+        monkeypatch.setattr(workers, "count", lambda count=count: count)
+        images.append(rendering.render(scene, CAMERA, "path", spp=20, rays=1024))
+    np.testing.assert_array_equal(*(image.radiance for image in images))
+    done = []
+
+    def stop(tile, of):
+        done.append(tile)
+        if tile == 2:
+            raise KeyboardInterrupt
+
+    part = rendering.render(scene, CAMERA, "path", spp=20, rays=1024, progress=stop)
+    assert part.interrupted
+    assert done == [1, 2]
+    np.testing.assert_array_equal(part.radiance[part.done], images[0].radiance[part.done])
+
+
+def test_work_ahead_is_in_order_and_raises_where_it_is():
+    def work(item):
+        if item == 4:
+            raise ValueError("four")
+        return item * jnp.ones((), "float64")
+
+    assert [int(n) for n in workers.ahead(work, range(4), 3)] == [0, 1, 2, 3]
+    with jax.enable_x64(True):
+        assert all(n.dtype == "float64" for n in workers.ahead(work, range(3), 2))
+    found = workers.ahead(work, range(6), 2)
+    assert [int(next(found)) for _ in range(4)] == [0, 1, 2, 3]
+    with pytest.raises(ValueError, match="four"):
+        next(found)
 
 
 def test_pictures_in_files(tmp_path):

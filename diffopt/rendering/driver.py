@@ -18,6 +18,7 @@ from diffopt.rendering.queries import Queries
 from diffopt.rendering.settings import Settings
 from diffopt.rendering.shading import Rays
 from diffopt.rendering.stage import Stage
+from diffopt.rendering.workers import ahead
 from diffopt.scenes import raycasting, world
 from diffopt.scenes.camera import Camera
 from diffopt.scenes.scene import Scene
@@ -51,6 +52,7 @@ def picture(
     even: bool,
     dtype: Any = "float32",
     progress: Progress | None = None,
+    workers: int = 1,
 ) -> Image:
     """Picture of a scene by one level.
 
@@ -66,6 +68,8 @@ def picture(
         Floating type of everything but rays.
     progress
         Told of the tiles.
+    workers
+        Passes followed at a time, each by a thread. The picture does not depend on it.
 
     A keyboard interrupt ends the work and keeps the finished tiles; see `Image.done`.
     """
@@ -76,23 +80,34 @@ def picture(
     runs, together = tiles(camera, settings)
     size = len(runs[0])
     image = Image.blank(scene, camera, settings)
+    passes = [(k, first) for k in range(len(runs)) for first in range(0, settings.spp, together)]
+
+    def one(which: tuple[int, int]) -> np.ndarray:
+        number, first = which
+        rays = primary(camera, stage, key, runs[number], size, first, together, settings, even)
+        rays = level(stage, rays, Queries(caster), key)
+        return np.asarray(rays.radiance).reshape(size, together, -1)
+
+    results = ahead(one, passes, workers)
+    total = squares = np.zeros((size, stage.channels))
     try:
-        for number, pixels in enumerate(runs):
-            total = np.zeros((size, stage.channels))
-            squares = np.zeros((size, stage.channels))
-            for first in range(0, settings.spp, together):
-                rays = primary(camera, stage, key, pixels, size, first, together, settings, even)
-                rays = level(stage, rays, Queries(caster), key)
-                found = np.asarray(rays.radiance, np.float64).reshape(size, together, -1)
-                found = found[:, : settings.spp - first]
-                total += found.sum(axis=1)
-                squares += (found * found).sum(axis=1)
+        for (number, first), found in zip(passes, results, strict=True):
+            if first == 0:
+                total, squares = (np.zeros((size, stage.channels)) for _ in range(2))
+            found = found[:, : settings.spp - first].astype(np.float64)
+            total += found.sum(axis=1)
+            squares += (found * found).sum(axis=1)
+            if first + together < settings.spp:
+                continue
+            pixels = runs[number]
             image.fill(pixels, total[: len(pixels)], squares[: len(pixels)], settings.spp)
             _layers(image, camera, scene, caster, pixels, size)
             if progress is not None:
                 progress(number + 1, len(runs))
     except KeyboardInterrupt:
         image.interrupted = True
+    finally:
+        results.close()
     image.seconds = time.perf_counter() - begin
     return image
 

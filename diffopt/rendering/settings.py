@@ -24,8 +24,8 @@ class Settings:
     seed
         Of all random numbers: equal seeds give equal pictures.
     rays
-        Followed at once. Memory grows with it, some 200 bytes and 24 for each channel a ray,
-        whatever the resolution.
+        Followed at once; by path tracing in each of up to four threads. Memory grows with it,
+        some 200 bytes and 24 for each channel a ray, whatever the resolution.
     backend
         ``"embree"`` or ``"jax"``, see `diffopt.scenes.raycasting.Caster`.
     """

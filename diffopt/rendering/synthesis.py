@@ -6,7 +6,7 @@ from typing import Any
 
 from diffopt import checks
 from diffopt.errors import InputError
-from diffopt.rendering import driver, radiosity
+from diffopt.rendering import driver, radiosity, workers
 from diffopt.rendering.ambient import ambient_radiance
 from diffopt.rendering.coupled import Coupled
 from diffopt.rendering.direct import Direct
@@ -80,7 +80,15 @@ def render(
     chosen = chosen_settings(level, settings, options)
     even = not isinstance(chosen, PathSettings)
     return driver.picture(
-        scene, camera, chosen, _level(chosen, scene)(), even=even, dtype=dtype, progress=progress
+        scene,
+        camera,
+        chosen,
+        _level(chosen, scene)(),
+        even=even,
+        dtype=dtype,
+        progress=progress,
+        # The other levels keep what they have prepared.
+        workers=1 if even else workers.count(),
     )
 
 
