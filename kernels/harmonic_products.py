@@ -42,7 +42,7 @@ def gaunt_triples(bands: int) -> list[tuple[int, int, int, float]]:
 
 
 def product(
-    first: Float[Array, "L2 ..."], second: Float[Array, "L2 ..."]
+    first: Float[Array, "L2 ..."], second: Float[Array, "M2 ..."]
 ) -> Float[Array, "L2 ..."]:
     """Coefficients of the product of two functions of as many bands, projected to these bands.
 

@@ -88,7 +88,8 @@ def square(
     inverse
         The matrix of 1 / k instead: the form printed in the paper with k = r / d.
     nodes
-        Of Gauss-Legendre quadrature: at L = 4, 1e-6 needs 46 at k = 1/8, 22 at 1/2, 34 at 5. The
+        Of Gauss-Legendre quadrature. At L = 4, 48 give 2e-6 for k in [0.1, 8] (3e-5 at 0.01, 8e-5
+        at 20), 96 give 2e-11; of a masked source 16 give 1e-12 for k <= 1, 48 as much to k = 8. The
         rule runs in the angle, analytic throughout, halfway between both maps where k > 1.
 
     Raises
@@ -149,7 +150,7 @@ def tangent(
         Bands of the source, where they differ.
     nodes
         Of Gauss-Legendre quadrature over the square root of the distance to u = pi / 2, where
-        functions of the hemisphere have a branch point: 16 give 1e-7 at L = 4 for k <= 0.9.
+        functions of the hemisphere have a branch point: 16 give 5e-10 at L = 4 for k <= 0.9.
 
     Raises
     ------
@@ -192,7 +193,8 @@ def sphere_rule(k: Float[Array, "..."], bands: int, *, nodes: int = 32) -> Float
     bands
         L.
     nodes
-        Of Gauss-Legendre quadrature, on each side of the corner at 3 pi / 8.
+        Of Gauss-Legendre quadrature, on each side of the corner at 3 pi / 8. At L = 4, 16 give
+        1e-14 for k <= 1; 32 give 1e-5 at 1.01, 1e-9 at 1.05, 5e-5 at 8. M jumps at k = 1.
     """
     x, weight = (jnp.asarray(part, k.dtype).reshape((1,) * k.ndim + (-1,)) for part in _rule(nodes))
     k = k[..., None]
