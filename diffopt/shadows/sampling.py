@@ -1,0 +1,140 @@
+"""Samples of a field: what is hidden, or what is emitted, about a mesh."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from diffopt.errors import InputError
+from diffopt.shadows import shells
+from diffopt.shadows.rays import Rays, check_mesh
+from diffopt.shadows.settings import ShadowSettings
+
+# Rays cast at once, for bounded memory.
+_AT_ONCE = 2**19
+
+
+class Samples(NamedTuple):
+    """Coefficients at every direction of every shell, and where that is.
+
+    Attributes
+    ----------
+    outer
+        On and outside the sphere, [s, S^2, polar, azimuthal]; with channels [..., C] last.
+    inner
+        Inside it, [j, L^2, polar, azimuthal].
+    nearest
+        Distance of the innermost shell, in radii; 1 without one.
+    """
+
+    outer: Float[np.ndarray, "s S2 p a ..."]
+    inner: Float[np.ndarray, "j L2 p a ..."]
+    nearest: float
+
+
+def bounding_sphere(vertices: Float[np.ndarray, "V 3"]) -> tuple[np.ndarray, float]:
+    """Centre [3] and radius of a small sphere about points: Ritter's, then shrunk step by step.
+
+    A sphere not centred on the object costs accuracy far away; the smallest one is approached to
+    0.1 % by moving towards the farthest point (Badoiu and Clarkson 2003).
+    """
+    points = np.asarray(vertices, np.float64)
+    centre = 0.5 * (points.min(0) + points.max(0))
+    for step in range(1, 300):
+        away = points - centre
+        farthest = np.argmax((away * away).sum(1))
+        centre = centre + away[farthest] / (step + 1.0)
+    radius = float(np.sqrt(((points - centre) ** 2).sum(1).max()))
+    return centre, radius
+
+
+def sample(
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    settings: ShadowSettings,
+    *,
+    centre: Float[np.ndarray, "3"],
+    radius: float,
+    nearest: float = np.inf,
+    emission: Float[np.ndarray, "F C"] | None = None,
+    backend: str = "embree",
+) -> Samples:
+    """Cast the rays of every shell at a mesh and project the answers.
+
+    Parameters
+    ----------
+    vertices, faces
+        The mesh, any unit of length.
+    settings
+        Of the field.
+    centre, radius
+        Sphere that holds the mesh.
+    nearest
+        Distance of the nearest receiver from the centre, in radii: shells inside go down to it.
+    emission
+        Radiance of every face, from both sides: the field is then what is emitted.
+    backend
+        Of the rays, "embree" or "jax".
+
+    Raises
+    ------
+    InputError
+        For arrays that are no mesh, or a mesh that leaves the sphere.
+    """
+    vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces)
+    check_mesh(vertices, faces)
+    if not radius > 0.0:
+        raise InputError(f"radius must be above 0; received {radius}")
+    scaled = (vertices - centre) / radius
+    farthest = float(np.sqrt((scaled**2).sum(1).max()))
+    if farthest > 1.0 + 1e-4:
+        raise InputError(
+            f"the mesh reaches {farthest:.4g} radii from the centre of the sphere; expected at "
+            "most 1: give a larger radius"
+        )
+    rays = Rays(scaled, faces, backend)
+    if emission is not None and len(emission) != len(faces):
+        raise InputError(f"emission must be [{len(faces)}, C]; received {np.shape(emission)}")
+    axes = shells.frames(*settings.directions)
+    grid = settings.directions
+    full = settings.map != "tangent"
+    outside = [
+        _one(rays, axes, shells.outer(float(k), settings.rays, settings.bands, full), emission)
+        for k in shells.ratios(settings)
+    ]
+    distances = shells.inner_distances(settings, nearest)
+    inside = [
+        _one(rays, axes, shells.inner(float(d), settings.rays, settings.bands), emission)
+        for d in distances
+    ]
+    size = (settings.bands**2, *grid)
+    tail = () if emission is None else (np.shape(emission)[1],)
+    return Samples(
+        np.stack(outside).reshape(len(outside), *size, *tail),
+        np.asarray(inside, np.float32).reshape(len(inside), *size, *tail),
+        float(distances[0]) if len(distances) else 1.0,
+    )
+
+
+def _one(
+    rays: Rays, axes: np.ndarray, shell: shells.Shell, emission: np.ndarray | None
+) -> np.ndarray:
+    """Coefficients of one shell, [S^2, g] or [S^2, g, C]."""
+    count = max(1, _AT_ONCE // len(shell.directions))
+    found = []
+    projection = shell.projection.astype(np.float32)
+    for first in range(0, len(axes), count):
+        block = axes[first : first + count]
+        directions = np.einsum("gij,nj->gni", block, shell.directions)
+        origin = -block[:, None, :, 2] * (shell.distance if np.isfinite(shell.distance) else 0.0)
+        starts = origin + np.einsum("gij,nj->gni", block, shell.starts)
+        flat = starts.reshape(-1, 3), directions.reshape(-1, 3)
+        if emission is None:
+            seen = rays.blocked(*flat).reshape(directions.shape[:2]).astype(np.float32)
+            found.append(projection @ seen.T)
+        else:
+            face = rays.face(*flat)
+            seen = np.where(face[:, None] >= 0, np.asarray(emission)[face], 0.0)
+            seen = seen.reshape(*directions.shape[:2], -1).astype(np.float32)
+            found.append(np.einsum("in,gnc->igc", projection, seen))
+    return np.concatenate(found, 1)

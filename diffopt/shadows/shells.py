@@ -1,0 +1,99 @@
+"""Where a field is sampled: directions from the centre, distances, rays of each.
+
+Samples are taken in local frames whose z axis points to the centre (x = -e_theta, y = e_phi), so
+that they vary slowly from one direction to the next; polar angles lie at half steps, and what lies
+beyond a pole is the opposite direction turned by pi.
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from diffopt.kernels import harmonics, hemispherical
+from diffopt.shadows.settings import ShadowSettings
+
+# Distance, in radii, from which rays of the far shell start.
+_OUTSIDE = 1.001
+
+
+class Shell(NamedTuple):
+    """One distance: rays in the local frame, and how their answers become coefficients.
+
+    Attributes
+    ----------
+    distance
+        Of the points from the centre, in radii; infinite for parallel rays.
+    starts, directions
+        Rays in the local frame from the point, [n, 3]; starts are 0 but for parallel rays.
+    projection
+        From answers to coefficients, [S^2, n]: of the hemisphere of angles u, sin t = sin u / d,
+        outside; of the sphere, inside.
+    """
+
+    distance: float
+    starts: Float[np.ndarray, "n 3"]
+    directions: Float[np.ndarray, "n 3"]
+    projection: Float[np.ndarray, "S2 n"]
+
+
+@lru_cache(maxsize=16)
+def frames(polar: int, azimuthal: int) -> Float[np.ndarray, "g 3 3"]:
+    """Local axes of the directions as columns; the third points to the centre."""
+    theta = (np.arange(polar) + 0.5) * np.pi / polar
+    phi = np.arange(azimuthal) * 2.0 * np.pi / azimuthal
+    theta, phi = (a.reshape(-1) for a in np.meshgrid(theta, phi, indexing="ij"))
+    ct, st, cp, sp = np.cos(theta), np.sin(theta), np.cos(phi), np.sin(phi)
+    zero = np.zeros_like(ct)
+    columns = [[-ct * cp, -ct * sp, st], [-sp, cp, zero], [-st * cp, -st * sp, -ct]]
+    return np.stack([np.stack(column, -1) for column in columns], -1)
+
+
+def ratios(settings: ShadowSettings) -> Float[np.ndarray, " s"]:
+    """Ratio r / d of the shells outside, 1 first and 0 last: nodes of Chebyshev and Lobatto."""
+    count = settings.shells or 1
+    return 0.5 + 0.5 * np.cos(np.pi * np.arange(count) / max(count - 1, 1))
+
+
+def inner_distances(settings: ShadowSettings, nearest: float) -> Float[np.ndarray, " j"]:
+    """Distances of shells inside, in radii, from that of the nearest receiver to below 1."""
+    if settings.inner_step == 0.0 or nearest >= 1.0:
+        return np.zeros(0)
+    count = int(np.ceil((1.0 - nearest) / settings.inner_step - 1e-9))
+    return nearest + (1.0 - nearest) * np.arange(count) / count
+
+
+@lru_cache(maxsize=64)
+def outer(ratio: float, rays: int, bands: int, on_sphere: bool) -> Shell:
+    """The shell at r / d = ratio.
+
+    Parameters
+    ----------
+    ratio
+        0 (parallel rays) to 1 (on the sphere).
+    rays
+        On a side.
+    bands
+        Of the coefficients.
+    on_sphere
+        Coefficients on the whole sphere in place of the hemisphere's; for ratio 1.
+    """
+    z, weight = np.polynomial.legendre.leggauss(rays)
+    local, weights = harmonics.rule_of(0.5 * (z + 1.0), 0.5 * weight, rays)
+    sine = ratio * np.sqrt(1.0 - local[:, 2] ** 2)
+    directions = np.concatenate([ratio * local[:, :2], np.sqrt(1.0 - sine**2)[:, None]], -1)
+    starts = np.zeros_like(local)
+    if ratio == 0.0:
+        starts[:, :2] = local[:, :2]
+        starts[:, 2] = -_OUTSIDE
+    basis = (harmonics if on_sphere else hemispherical).numpy_basis(local, bands)
+    return Shell(1.0 / ratio if ratio else np.inf, starts, directions, basis * weights)
+
+
+@lru_cache(maxsize=64)
+def inner(distance: float, rays: int, bands: int) -> Shell:
+    """A shell inside the sphere: rays to all sides, as dense as the hemisphere's."""
+    directions, weights = harmonics.sphere_rule(2 * rays, rays)
+    basis = harmonics.numpy_basis(directions, bands)
+    return Shell(distance, np.zeros_like(directions), directions, basis * weights)

@@ -1,0 +1,61 @@
+"""The trusted reference: irradiance past meshes by rays to many directions."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from diffopt.kernels import harmonics
+from diffopt.shadows.lights import _function
+from diffopt.shadows.rays import Rays
+
+# Rays at once.
+_AT_ONCE = 2**20
+# Rays leave a receiver this far from it, in units of the scene.
+_OFFSET = 1e-5
+
+
+def directions_above(polar: int, azimuthal: int) -> tuple[np.ndarray, np.ndarray]:
+    """Directions [n, 3] of the upper hemisphere and weights [n], Gauss-Legendre in z."""
+    z, weight = np.polynomial.legendre.leggauss(polar)
+    return harmonics.rule_of(0.5 * (z + 1.0), 0.5 * weight, azimuthal)
+
+
+def irradiance(
+    points: Float[np.ndarray, "N 3"],
+    meshes: Sequence[tuple[Any, Any]],
+    radiance: Any,
+    *,
+    polar: int = 40,
+    azimuthal: int = 80,
+) -> tuple[Float[np.ndarray, "N C"], Float[np.ndarray, " C"]]:
+    """Irradiance of receivers that face +z past meshes, and without them.
+
+    Parameters
+    ----------
+    points
+        [N, 3].
+    meshes
+        Vertices and faces of each.
+    radiance
+        Of distant light, as for `distant_light`.
+    polar, azimuthal
+        Directions to which rays are cast.
+    """
+    points = np.asarray(points, np.float64).reshape(-1, 3)
+    above, weights = directions_above(polar, azimuthal)
+    light = np.asarray(_function(radiance)(above), np.float64)
+    light = (light[:, None] if light.ndim == 1 else light) * (weights * above[:, 2])[:, None]
+    casters = [Rays(vertices, faces) for vertices, faces in meshes]
+    found = np.empty((len(points), light.shape[1]))
+    count = max(1, _AT_ONCE // len(above))
+    for first in range(0, len(points), count):
+        here = points[first : first + count]
+        starts = np.repeat(here, len(above), 0)
+        to = np.tile(above, (len(here), 1))
+        blocked = np.zeros(len(starts), bool)
+        for caster in casters:
+            blocked |= caster.blocked(starts + _OFFSET * to, to)
+        found[first : first + count] = ~blocked.reshape(len(here), -1) @ light
+    return found, light.sum(0)
