@@ -30,6 +30,8 @@
 `materials`            how surfaces scatter light: values, samples, densities, albedos
 `scenes`               objects, lights and cameras
 `rendering`            pictures of scenes, at several levels of image synthesis
+`shadows`              soft shadows of deforming objects
+`workers`              work of several threads, in order
 `colour`               spectra to XYZ to sRGB
 `illuminants`          illuminants, the observer, weights from spectra to XYZ
 `bands`                three bands in place of the matching functions
@@ -44,6 +46,7 @@ from diffopt import gratings as gratings
 from diffopt import materials as materials
 from diffopt import samples as samples
 from diffopt import scenes as scenes
+from diffopt import shadows as shadows
 from diffopt.accuracy.studies import study as study
 from diffopt.brdf_lobes import BRDFLobes as BRDFLobes
 from diffopt.choice import Choice as Choice

@@ -7,10 +7,10 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from diffopt import rendering, scenes
+from diffopt import rendering, scenes, workers
 from diffopt.errors import InputError
 from diffopt.materials import Dielectric, Lambert, Microfacet, Mirror, RoughDielectric
-from diffopt.rendering import driver, pathtrace, shading, workers
+from diffopt.rendering import driver, pathtrace, shading
 from diffopt.rendering.pathtrace import Paths
 from diffopt.rendering.settings import PathSettings
 from diffopt.scenes import raycasting

@@ -2,7 +2,7 @@
 
 ===========  ===================================================================
 `synthesis`  a picture of a scene by a level; `settings`: how
-`driver`     tile by tile, in bounded memory, by several `workers`
+`driver`     tile by tile, in bounded memory, by several `diffopt.workers`
 `direct`     incremental shading and recursive ray tracing
 `radiosity`  light between `patches` of surfaces (`charts`): `formfactors`,
              direct light on them (`illumination`), smooth over them

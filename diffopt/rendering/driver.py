@@ -18,10 +18,10 @@ from diffopt.rendering.queries import Queries
 from diffopt.rendering.settings import Settings
 from diffopt.rendering.shading import Rays
 from diffopt.rendering.stage import Stage
-from diffopt.rendering.workers import ahead
 from diffopt.scenes import raycasting, world
 from diffopt.scenes.camera import Camera
 from diffopt.scenes.scene import Scene
+from diffopt.workers import ahead
 
 #: Follows rays: (stage, rays, queries, key) to the rays with what they have collected.
 Level = Callable[[Stage, Rays, Queries, PRNGKeyArray], Rays]

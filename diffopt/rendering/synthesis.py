@@ -4,9 +4,9 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
-from diffopt import checks
+from diffopt import checks, workers
 from diffopt.errors import InputError
-from diffopt.rendering import driver, radiosity, workers
+from diffopt.rendering import driver, radiosity
 from diffopt.rendering.ambient import ambient_radiance
 from diffopt.rendering.coupled import Coupled
 from diffopt.rendering.direct import Direct

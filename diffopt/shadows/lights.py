@@ -20,8 +20,9 @@ from diffopt.materials.base import floating
 from diffopt.materials.checking import within
 from diffopt.shadows.fields import Field, _root
 
-#: Bands of a response to distant light: of one normal for all receivers, and of one for each.
-ONE_NORMAL, MANY_NORMALS = 16, 9
+#: Bands of a response to distant light: of one normal for all receivers; of a normal for each,
+#: whose cosine has 1/64 in the last degree; of a BRDF.
+ONE_NORMAL, MANY_NORMALS, WITH_BRDF = 16, 7, 9
 # Nodes over the polar angle by which distant light is projected.
 _NODES = 96
 
@@ -43,10 +44,13 @@ class DistantLight(eqx.Module):
         return self.matrix.shape[0]
 
     def gathered(
-        self, visible: Float[Array, "L2 N"], response: Float[Array, "R2 N"]
+        self, visible: Float[Array, "L2 N"], response: Float[Array, "R N"], places: np.ndarray
     ) -> Float[Array, "C N"]:
-        """Light that comes through visibility, times the response; N of either may be 1."""
-        matrix = self.matrix[:, :, : response.shape[0]]
+        """Light that comes through visibility, times a response known by some coefficients.
+
+        N of the response may be 1: one for all.
+        """
+        matrix = self.matrix[:, :, places]
         weights = jnp.einsum("cij,jn->cin", matrix, response)
         if weights.shape[2] == 1:
             return jnp.einsum("ci,in->cn", weights[:, :, 0], visible)

@@ -14,9 +14,22 @@ from diffopt.shadows.fields import _root
 
 def cosine(normals: Float[Array, "3 N"], bands: int) -> Float[Array, "L2 N"]:
     """Coefficients of max(n . w, 0)."""
-    values = harmonics.basis(normals.T, bands)
+    return cosine_rows(normals, np.arange(bands**2))
+
+
+def cosine_rows(normals: Float[Array, "3 N"], rows: np.ndarray) -> Float[Array, "R N"]:
+    """Coefficients of max(n . w, 0) in some places; odd degrees above 1 have none."""
+    bands = int(np.sqrt(rows[-1])) + 1
     factor = harmonics.clamped_cosine(bands) * np.sqrt(4.0 * np.pi / (2.0 * np.arange(bands) + 1.0))
-    return values * jnp.asarray(factor[harmonics.degrees(bands)], values.dtype)[:, None]
+    factor = factor[harmonics.degrees(bands)]
+    values = harmonics.basis(normals.T, bands)
+    return jnp.stack([values[int(row)] * float(factor[row]) for row in rows])
+
+
+def cosine_places(bands: int) -> np.ndarray:
+    """Places of the coefficients of a clamped cosine that are not 0."""
+    degree = harmonics.degrees(bands)
+    return np.flatnonzero((degree < 2) | (degree % 2 == 0))
 
 
 class ProjectedBRDF(eqx.Module):

@@ -9,15 +9,17 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from diffopt import workers
 from diffopt.errors import InputError
 from diffopt.kernels import harmonic_products
 from diffopt.shadows import combining, responses
 from diffopt.shadows.fields import Field
-from diffopt.shadows.lights import MANY_NORMALS, ONE_NORMAL, DistantLight, Light
+from diffopt.shadows.lights import MANY_NORMALS, ONE_NORMAL, WITH_BRDF, DistantLight, Light
 from diffopt.shadows.responses import ProjectedBRDF
 from diffopt.shadows.settings import ShadowSettings
 
@@ -120,18 +122,41 @@ def _evaluate(
         sides.append(value)
     if settings.combination == "exponential":
         occluders = combining.logarithms(occluders)
-    found = _shade(
-        points.reshape(-1, 3),
-        sides[0],
-        sides[1],
-        brdf,
-        tuple(occluders),
-        lights,
-        bands,
-        settings.combination,
-        settings.clamp,
+    rows = points.reshape(-1, 3)
+
+    def shade(part: slice) -> Array:
+        own = [_padded(a[part], size) if a is not None and a.ndim > 1 else a for a in sides]
+        return _shade(
+            _padded(rows[part], size),
+            own[0],
+            own[1],
+            brdf,
+            tuple(occluders),
+            lights,
+            bands,
+            settings.combination,
+            settings.clamp,
+        )
+
+    # A block's loops are too short for XLA to share among cores: each thread takes a part of the
+    # receivers. Within somebody else's program there are no threads.
+    traced = any(
+        isinstance(leaf, jax.core.Tracer)
+        for leaf in jax.tree.leaves((points, sides, brdf, occluders, lights))
     )
+    threads = 1 if traced or len(rows) < 2 * _BLOCK else workers.count()
+    size = -(-len(rows) // threads)
+    parts = [slice(first, first + size) for first in range(0, len(rows), size)] or [slice(0)]
+    pieces = list(workers.ahead(shade, parts, threads))
+    found = jnp.concatenate(pieces)[: len(rows)] if len(pieces) > 1 else pieces[0]
     return found.reshape(*points.shape[:-1], found.shape[-1])
+
+
+def _padded(rows: Array, size: int) -> Array:
+    """Rows up to a size, the last one repeated: one compiled program serves all threads."""
+    if not 0 < len(rows) < size:
+        return rows
+    return jnp.concatenate([rows, jnp.broadcast_to(rows[-1:], (size - len(rows), 3))])
 
 
 @eqx.filter_jit
@@ -147,33 +172,38 @@ def _shade(
     clamp: bool,
 ) -> Array:
     count = points.shape[0]
-    fixed = responses.cosine(normals[:, None], ONE_NORMAL) if normals.ndim == 1 else None
+    if brdf is not None:
+        places = np.arange(max(WITH_BRDF, bands) ** 2)
+    else:
+        places = responses.cosine_places(ONE_NORMAL if normals.ndim == 1 else MANY_NORMALS)
+    fixed = responses.cosine_rows(normals[:, None], places) if normals.ndim == 1 else None
+    local = any(not isinstance(light, DistantLight) for light in lights)
 
     def block(x: Array, n: Array | None, v: Array | None) -> Array:
-        if fixed is not None:
-            response = fixed
-        elif brdf is None:
-            assert n is not None
-            response = responses.cosine(n, max(MANY_NORMALS, bands))
+        facing = normals[:, None] if n is None else n
+        if brdf is None:
+            response = fixed if fixed is not None else responses.cosine_rows(facing, places)
+            low = responses.cosine(facing, bands) if local else response
         else:
-            assert n is not None
             assert v is not None
-            response = brdf.response(n, v, max(MANY_NORMALS, bands))
-        return _gathered(x, response, occluders, lights, bands, combination, clamp)
+            response = brdf.response(facing, v, max(WITH_BRDF, bands))
+            low = response[: bands**2]
+        return _gathered(x, (response, places, low), occluders, lights, bands, combination, clamp)
 
     return _in_blocks(block, count, points, normals if fixed is None else None, views)
 
 
 def _gathered(
     x: Array,
-    response: Array,
+    responding: tuple[Array, np.ndarray, Array],
     occluders: tuple[Field, ...],
     lights: tuple[Light, ...],
     bands: int,
     combination: str,
     clamp: bool,
 ) -> Array:
-    """Sum over lights, [C, N]."""
+    """Sum over lights, [C, N], of a response to distant light, its places, and to local light."""
+    response, places, low = responding
     clear = combining.nothing_hidden(bands, x[:, :1])
     total: Any = 0.0
     everything: Any = None
@@ -182,18 +212,16 @@ def _gathered(
             if occluders:
                 if everything is None:
                     everything = combining.visibility(x, occluders, combination)
-                found = light.gathered(everything, response)
+                found = light.gathered(everything, response, places)
             else:
-                found = light.gathered(clear, response)
-            unshadowed = light.gathered(clear, response)
+                found = light.gathered(clear, response, places)
+            unshadowed = light.gathered(clear, response, places)
         else:
-            low = response[: bands**2]
             source = light.source(x, bands)
             seen = low
             if occluders:
                 near = combining.visibility(x, occluders, combination, light.distance(x))
-                low = jnp.broadcast_to(low, near.shape)
-                seen = harmonic_products.product(near, low)
+                seen = harmonic_products.product(near, jnp.broadcast_to(low, near.shape))
             found = jnp.sum(source * seen[:, :, None], 0).T
             unshadowed = jnp.sum(source * low[:, :, None], 0).T
         if clamp:
