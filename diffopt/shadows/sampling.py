@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from diffopt.errors import InputError
+from diffopt.kernels import harmonics
 from diffopt.shadows import shells
 from diffopt.shadows.rays import Rays, check_mesh
 from diffopt.shadows.settings import ShadowSettings
@@ -33,17 +34,19 @@ class Samples(NamedTuple):
 
 
 def bounding_sphere(vertices: Float[np.ndarray, "V 3"]) -> tuple[np.ndarray, float]:
-    """Centre [3] and radius of a small sphere about points: Ritter's, then shrunk step by step.
+    """Centre [3] and radius of nearly the smallest sphere about points.
 
-    A sphere not centred on the object costs accuracy far away; the smallest one is approached to
-    0.1 % by moving towards the farthest point (Badoiu and Clarkson 2003).
+    A sphere not centred on the object costs accuracy far away. The smallest one is approached, to
+    0.1 % or so, by steps towards the farthest point (Badoiu and Clarkson 2003), among points that
+    are extreme in some direction.
     """
     points = np.asarray(vertices, np.float64)
+    directions, _ = harmonics.sphere_rule(8, 16)
+    extreme = points[np.unique(np.argmax(points @ directions.T, 0))]
     centre = 0.5 * (points.min(0) + points.max(0))
-    for step in range(1, 300):
-        away = points - centre
-        farthest = np.argmax((away * away).sum(1))
-        centre = centre + away[farthest] / (step + 1.0)
+    for step in range(1, 200):
+        away = extreme - centre
+        centre = centre + away[np.argmax((away * away).sum(1))] / (step + 1.0)
     radius = float(np.sqrt(((points - centre) ** 2).sum(1).max()))
     return centre, radius
 
@@ -95,16 +98,15 @@ def sample(
     rays = Rays(scaled, faces, backend)
     if emission is not None and len(emission) != len(faces):
         raise InputError(f"emission must be [{len(faces)}, C]; received {np.shape(emission)}")
-    axes = shells.frames(*settings.directions)
     grid = settings.directions
     full = settings.map != "tangent"
     outside = [
-        _one(rays, axes, shells.outer(float(k), settings.rays, settings.bands, full), emission)
+        _one(rays, grid, shells.outer(float(k), settings.rays, settings.bands, full), emission)
         for k in shells.ratios(settings)
     ]
     distances = shells.inner_distances(settings, nearest)
     inside = [
-        _one(rays, axes, shells.inner(float(d), settings.rays, settings.bands), emission)
+        _one(rays, grid, shells.inner(float(d), settings.rays, settings.bands), emission)
         for d in distances
     ]
     size = (settings.bands**2, *grid)
@@ -117,24 +119,25 @@ def sample(
 
 
 def _one(
-    rays: Rays, axes: np.ndarray, shell: shells.Shell, emission: np.ndarray | None
+    rays: Rays, grid: tuple[int, int], shell: shells.Shell, emission: np.ndarray | None
 ) -> np.ndarray:
     """Coefficients of one shell, [S^2, g] or [S^2, g, C]."""
+    polar, azimuthal = grid
+    # Parallel rays meet the same from both ends.
+    halved = np.isinf(shell.distance) and polar % 2 == 0 and emission is None
+    total = polar * azimuthal // 2 if halved else polar * azimuthal
     count = max(1, _AT_ONCE // len(shell.directions))
     found = []
-    projection = shell.projection.astype(np.float32)
-    for first in range(0, len(axes), count):
-        block = axes[first : first + count]
-        directions = np.einsum("gij,nj->gni", block, shell.directions)
-        origin = -block[:, None, :, 2] * (shell.distance if np.isfinite(shell.distance) else 0.0)
-        starts = origin + np.einsum("gij,nj->gni", block, shell.starts)
-        flat = starts.reshape(-1, 3), directions.reshape(-1, 3)
+    for first in range(0, total, count):
+        part = slice(first, min(first + count, total))
+        starts, directions = shells.in_object(shell, grid, part)
         if emission is None:
-            seen = rays.blocked(*flat).reshape(directions.shape[:2]).astype(np.float32)
-            found.append(projection @ seen.T)
+            seen = rays.blocked(starts, directions).reshape(-1, len(shell.directions))
+            found.append(shell.projection @ seen.T.astype(np.float32))
         else:
-            face = rays.face(*flat)
-            seen = np.where(face[:, None] >= 0, np.asarray(emission)[face], 0.0)
-            seen = seen.reshape(*directions.shape[:2], -1).astype(np.float32)
-            found.append(np.einsum("in,gnc->igc", projection, seen))
-    return np.concatenate(found, 1)
+            face = rays.face(starts, directions)
+            seen = np.where(face[:, None] >= 0, np.asarray(emission, np.float32)[face], 0.0)
+            seen = seen.reshape(-1, len(shell.directions), seen.shape[-1])
+            found.append(np.einsum("in,gnc->igc", shell.projection, seen))
+    half = np.concatenate(found, 1)
+    return shells.with_antipodes(half, grid) if halved else half

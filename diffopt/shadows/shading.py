@@ -109,7 +109,7 @@ def _evaluate(
     points = jnp.asarray(points, dtype)
     if points.shape[-1:] != (3,):
         raise InputError(f"points must be [..., 3]; received {points.shape}")
-    sides: list[Any] = []
+    sides: Any = []
     for name, value in (("normals", normals), ("views", views)):
         if value is None:
             sides.append(None)
@@ -125,7 +125,7 @@ def _evaluate(
     rows = points.reshape(-1, 3)
 
     def shade(part: slice) -> Array:
-        own = [_padded(a[part], size) if a is not None and a.ndim > 1 else a for a in sides]
+        own: Any = [_padded(a[part], size) if a is not None and a.ndim > 1 else a for a in sides]
         return _shade(
             _padded(rows[part], size),
             own[0],

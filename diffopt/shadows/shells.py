@@ -88,7 +88,7 @@ def outer(ratio: float, rays: int, bands: int, on_sphere: bool) -> Shell:
         starts[:, :2] = local[:, :2]
         starts[:, 2] = -_OUTSIDE
     basis = (harmonics if on_sphere else hemispherical).numpy_basis(local, bands)
-    return Shell(1.0 / ratio if ratio else np.inf, starts, directions, basis * weights)
+    return _shell(1.0 / ratio if ratio else np.inf, starts, directions, basis * weights)
 
 
 @lru_cache(maxsize=64)
@@ -96,4 +96,44 @@ def inner(distance: float, rays: int, bands: int) -> Shell:
     """A shell inside the sphere: rays to all sides, as dense as the hemisphere's."""
     directions, weights = harmonics.sphere_rule(2 * rays, rays)
     basis = harmonics.numpy_basis(directions, bands)
-    return Shell(distance, np.zeros_like(directions), directions, basis * weights)
+    return _shell(distance, np.zeros_like(directions), directions, basis * weights)
+
+
+def _shell(distance: float, *parts: np.ndarray) -> Shell:
+    starts, directions, projection = (part.astype(np.float32) for part in parts)
+    return Shell(distance, starts, directions, projection)
+
+
+def in_object(
+    shell: Shell, grid: tuple[int, int], part: slice
+) -> tuple[Float[np.ndarray, "r 3"], Float[np.ndarray, "r 3"]]:
+    """Starts and directions, in the frame of the object, of rays from some of the directions."""
+    axes = frames(*grid)[part].astype(np.float32)
+    # One product of matrices: [n, 3] with [3, 3 g].
+    columns = axes.transpose(2, 0, 1).reshape(3, -1)
+
+    def turned(local: np.ndarray) -> np.ndarray:
+        found = (local @ columns).reshape(len(local), -1, 3)
+        return np.ascontiguousarray(found.transpose(1, 0, 2)).reshape(-1, 3)
+
+    directions = turned(shell.directions)
+    if np.isinf(shell.distance):
+        return turned(shell.starts), directions
+    origins = -np.float32(shell.distance) * axes[:, :, 2]
+    return np.repeat(origins, len(shell.directions), axis=0), directions
+
+
+def with_antipodes(
+    half: Float[np.ndarray, "S2 h"], grid: tuple[int, int]
+) -> Float[np.ndarray, "S2 g"]:
+    """Coefficients of parallel rays at all directions, from those of the upper half.
+
+    From the opposite side the same lines are met: what is seen is mirrored in the plane of the
+    local x, negative orders with the other sign.
+    """
+    polar, azimuthal = grid
+    bands = round(half.shape[0] ** 0.5)
+    upper = half.reshape(-1, polar // 2, azimuthal)
+    sign = np.where(harmonics.orders(bands) < 0, -1.0, 1.0).astype(half.dtype)
+    lower = np.roll(upper[:, ::-1], azimuthal // 2, 2) * sign[:, None, None]
+    return np.concatenate([upper, lower], 1).reshape(half.shape[0], -1)
