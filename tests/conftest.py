@@ -5,7 +5,10 @@ The suite runs with 64-bit types on (each test picks its dtype); with
 asks for float64 is left out.
 
 Compilation takes most of its time. Programs are kept in `.pytest_cache`, where the other
-workers, the second pass, the commands that tests run and the next run find them.
+workers, the second pass, the commands that tests run and the next run find them. Most of
+them run once, on little: the compiler is told to spend less on each. The pass without
+64-bit types is compiled as users' programs are, and with ``XLA_FLAGS=`` set, if to nothing,
+so is the whole suite.
 """
 
 import itertools
@@ -16,10 +19,20 @@ COMPILED = Path(__file__).parents[1] / ".pytest_cache" / "compiled"
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(COMPILED))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 
+X64 = os.environ.get("DIFFOPT_TEST_X64", "1") != "0"
+# Most programs take longer to compile than to run. XLA stops at a flag that it does not know.
+QUICK = (
+    "--xla_cpu_use_fusion_emitters=false",
+    "--xla_cpu_parallel_codegen_split_count=1",
+    "--xla_backend_optimization_level=1",
+    "--xla_llvm_disable_expensive_passes=true",
+)
+if X64:
+    os.environ.setdefault("XLA_FLAGS", " ".join(QUICK))
+
 import jax  # noqa: E402
 import pytest  # noqa: E402
 
-X64 = os.environ.get("DIFFOPT_TEST_X64", "1") != "0"
 jax.config.update("jax_enable_x64", X64)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
