@@ -17,6 +17,7 @@ from diffopt.cli import (
     material,
     render,
     scene,
+    shadow,
     studying,
 )
 from diffopt.errors import InputError
@@ -36,6 +37,7 @@ app.command("material")(material.command)
 app.add_typer(fitting.app, name="fit")
 app.add_typer(scene.app, name="scene")
 app.command("render")(render.command)
+app.command("shadow")(shadow.command)
 app.command("demo")(demo.command)
 app.command("accuracy")(studying.accuracy)
 app.add_typer(comparing.app, name="compare")

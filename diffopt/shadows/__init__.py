@@ -16,6 +16,9 @@ further).
 `combining`      several occluders
 `shading`        irradiance and reflected radiance
 `truth`          ray-cast reference
+`moving`         an object over time: sampled anew only where it changed
+`animations`     deforming objects to watch; `creatures`: their meshes
+`pictures`       pictures of them over the ground
 ===============  ==========================================================
 """
 
@@ -25,6 +28,7 @@ from diffopt.shadows.lights import DistantLight as DistantLight
 from diffopt.shadows.lights import FieldLight as FieldLight
 from diffopt.shadows.lights import SphereLight as SphereLight
 from diffopt.shadows.lights import distant_light as distant_light
+from diffopt.shadows.moving import Occluder as Occluder
 from diffopt.shadows.parts import part_fields as part_fields
 from diffopt.shadows.responses import ProjectedBRDF as ProjectedBRDF
 from diffopt.shadows.responses import project_brdf as project_brdf
