@@ -20,6 +20,7 @@ from diffopt.kernels import (
     hemispherical,
     rescaling,
     rescaling_matrices,
+    rescaling_tables,
 )
 
 SLANT = np.array([0.48, -0.36, 0.8])
@@ -33,7 +34,8 @@ QUARTER = np.pi / 2
 
 def harmonic_rows():
     """All of them, each compiled whole."""
-    for part in (_values, _zonals, _rotations, _products, _hemispheres, _maps, _matrices):
+    parts = (_values, _zonals, _rotations, _products, _hemispheres, _maps, _matrices, _tables)
+    for part in parts:
         for row in part():
             yield replace(row, call=jax.jit(row.call))
 
@@ -534,3 +536,72 @@ def _matrices():
         (entries, SOME[:4]),
         lambda e, c: _whole(e) @ c,
     )
+
+
+def _placed(k, kind):
+    """The variable of a table of matrices, in [0, 1]."""
+    if kind == "square":
+        return np.log(k * 8) / np.log(LD(64))
+    most = LD(rescaling_tables.NEAREST)
+    if kind == "tangent masked":
+        return np.arcsin(k) / np.arcsin(most)
+    first, last = np.sqrt(np.arccos(most)), np.sqrt(PI / 2)
+    return (np.sqrt(np.arccos(k)) - first) / (last - first)
+
+
+def _lined(table, k, kind):
+    value = _placed(k, kind) * (len(table) - 1)
+    low = int(min(np.floor(value), len(table) - 2))
+    return table[low] + (value - low) * (table[low + 1] - table[low])
+
+
+def _summed(table, k, kind):
+    return np.polynomial.chebyshev.chebval(2 * _placed(k, kind) - 1, table)
+
+
+def _tables():
+    table = np.round(np.cos(np.arange(12.0)), 3).reshape(4, 3)
+    for kind, values in (
+        ("square", (0.2, 1.1, 7.0)),
+        ("tangent masked", (0.05, 0.5, 0.98)),
+        ("tangent hemisphere", (0.05, 0.5, 0.98)),
+    ):
+        for k in values:
+            yield Hard(
+                "rescaling_tables.place",
+                f"{kind}, k={k}",
+                partial(rescaling_tables.place, kind=kind),
+                (k,),
+                partial(_placed, kind=kind),
+                ulps=64,  # rounding of k near 1 moves acos k by its slope
+            )
+        for name, twin in (("from_linear", _lined), ("from_chebyshev", _summed)):
+            yield Hard(
+                f"rescaling_tables.{name}",
+                kind,
+                partial(getattr(rescaling_tables, name), kind=kind),
+                (table, values[1]),
+                partial(twin, kind=kind),
+                ulps=100,
+            )
+    for name in ("linear", "chebyshev"):
+        make = getattr(rescaling_tables, name)
+        yield Hard(
+            f"rescaling_tables.{name}",
+            "two rows",
+            lambda x, make=make: make(1, "tangent masked", 2, x.dtype) * x,
+            (1.0,),
+            partial(_two_rows, line=name == "linear"),
+            ulps=64,
+        )
+
+
+def _two_rows(x, line):
+    """M_00 of one band at both ends, or its mean and slope between two Chebyshev points."""
+    # One band: 1/2 sin t_d dt_d from 0 to asin k, that is (1 - cos t_d) / 2.
+    most = np.arcsin(LD(rescaling_tables.NEAREST))
+    places = np.array([0, 1], LD) if line else (1 + np.array([1, -1], LD) / np.sqrt(LD(2))) / 2
+    first, second = (1 - np.cos(most * places)) / 2
+    if line:
+        return np.array([[first], [second]]) * x
+    return np.array([[(first + second) / 2], [(first - second) / np.sqrt(LD(2))]]) * x

@@ -9,7 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffopt.kernels import harmonics, hemispherical, rescaling, rescaling_matrices
+from diffopt.kernels import (
+    harmonics,
+    hemispherical,
+    rescaling,
+    rescaling_matrices,
+    rescaling_tables,
+)
 
 DATA = json.loads((Path(__file__).parents[1] / "data" / "harmonics.json").read_text())
 EPS = {"float32": 2.0**-23, "float64": 2.0**-52}
@@ -316,3 +322,32 @@ def test_compiled_once_and_alike_over_batches():
     assert len(traces) == 1
     each = jax.jit(jax.vmap(partial(rescaling_matrices.tangent, bands=3), 1, 2))(k)
     np.testing.assert_allclose(each, first, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("kind", "nodes", "terms"),
+    [("square", 115, 20), ("tangent masked", 40, 8), ("tangent hemisphere", 48, 9)],
+)
+def test_tables_of_matrices_are_as_exact_as_they_say(kind, nodes, terms):
+    square = kind == "square"
+    k = jnp.geomspace(0.125, 8.0, 301) if square else jnp.linspace(0.0, 0.9999, 301)
+    source = kind.partition(" ")[2]
+    make = rescaling_matrices.square if square else rescaling_matrices.tangent
+    exact = make(k, 4, source=source or "sphere", nodes=96)
+    line = rescaling_tables.from_linear(rescaling_tables.linear(4, kind, nodes), k, kind)
+    sums = rescaling_tables.from_chebyshev(rescaling_tables.chebyshev(4, kind, terms), k, kind)
+    # Documented: below 1e-3.
+    assert abs(line - exact).max() < 1e-3
+    assert abs(sums - exact).max() < 1e-3
+    # Half the nodes of a line leave up to four times the error.
+    half = rescaling_tables.linear(4, kind, nodes // 2)
+    assert abs(rescaling_tables.from_linear(half, k, kind) - exact).max() > 1e-3
+
+
+def test_tables_of_matrices_refuse_what_they_are_not():
+    with pytest.raises(ValueError, match="kind: received 'round'"):
+        rescaling_tables.place(jnp.ones(()), "round")
+    with pytest.raises(ValueError, match="nodes: received 1"):
+        rescaling_tables.linear(4, "square", 1)
+    with pytest.raises(ValueError, match="terms: received 0"):
+        rescaling_tables.chebyshev(4, "square", 0)
