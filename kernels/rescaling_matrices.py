@@ -230,6 +230,17 @@ def _direction(sine: Array, cosine: Array) -> Array:
     return jnp.stack([sine, jnp.zeros_like(sine), cosine], -1)
 
 
+def transposed(entries: Float[Array, "n ..."], bands: int) -> Float[Array, "n ..."]:
+    """Entries of the transposed matrix, of as many bands on both sides.
+
+    M(1/k) transposed of the square map is M(k) with the factor k^2 / N^3 by which the paper
+    multiplies the light of a source (`rescaling.square_density`).
+    """
+    m, row, column = places(bands)
+    where = {place: slot for slot, place in enumerate(zip(m, row, column, strict=True))}
+    return entries[np.array([where[place] for place in zip(m, column, row, strict=True)])]
+
+
 def dense(
     entries: Float[Array, "n ..."], bands: int, source_bands: int | None = None
 ) -> Float[Array, "L2 S2 ..."]:

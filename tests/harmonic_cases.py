@@ -530,6 +530,13 @@ def _matrices():
         _whole,
     )
     yield Hard(
+        "rescaling_matrices.transposed",
+        "two bands",
+        partial(rescaling_matrices.transposed, bands=2),
+        (entries,),
+        lambda e: e[np.array([0, 2, 1, 3, 4])],
+    )
+    yield Hard(
         "rescaling_matrices.apply",
         "two bands",
         partial(rescaling_matrices.apply, bands=2),

@@ -55,8 +55,8 @@ def build(samples: Samples, settings: ShadowSettings) -> Float[Array, "r p a C"]
     """
     dtype = jnp.result_type(float)
     outer, inner = (jnp.asarray(part, dtype) for part in (samples.outer, samples.inner))
-    expanded = samples.nearest >= 1.0
-    return _build(outer, inner, _operators(settings, dtype.name, expanded), settings)
+    operators = _operators(settings, dtype.name, samples.nearest >= 1.0, samples.outer.ndim > 4)
+    return _build(outer, inner, operators, settings)
 
 
 class _Operators(NamedTuple):
@@ -78,7 +78,7 @@ class _Operators(NamedTuple):
 
 
 @lru_cache(maxsize=32)
-def _operators(settings: ShadowSettings, dtype: str, expanded: bool) -> _Operators:
+def _operators(settings: ShadowSettings, dtype: str, expanded: bool, emits: bool) -> _Operators:
     bands = settings.bands
     k = jnp.asarray(row_ratios(settings), dtype)
     one = jnp.ones(1, dtype)
@@ -86,21 +86,24 @@ def _operators(settings: ShadowSettings, dtype: str, expanded: bool) -> _Operato
         entries = rescaling_matrices.tangent(k, bands, nodes=32)
         to_sphere = _dense(rescaling_matrices.tangent(one, bands, nodes=32), bands)[0]
     else:
-        entries = _paper(jnp.maximum(k, 1.0 / 64.0), settings)
+        entries = _paper(jnp.maximum(k, 1.0 / 64.0), settings, emits)
         entries = jnp.where(k > 1e-6, entries, 0.0)
         to_sphere = jnp.eye(bands**2, dtype=dtype)
     inside = None
     if expanded:
         distance = np.arange(1, _EXPANDED) / _EXPANDED
         ratio = jnp.asarray(np.minimum(1.0 / distance, _DEEPEST), dtype)
-        inside = _dense(_paper(ratio, settings), bands) @ to_sphere
+        inside = _dense(_paper(ratio, settings, emits), bands) @ to_sphere
     return _Operators(jnp.asarray(radial_weights(settings), dtype), _dense(entries, bands), inside)
 
 
-def _paper(k: Array, settings: ShadowSettings) -> Array:
+def _paper(k: Array, settings: ShadowSettings, emits: bool) -> Array:
     """Entries of the paper's maps, of a view that is empty on the far hemisphere."""
     if settings.map == "sphere rule":
         return rescaling_matrices.sphere_rule(k, settings.bands)
+    if emits and settings.source_factor == "paper":
+        inverse = rescaling_matrices.square(1.0 / k, settings.bands, nodes=128)
+        return rescaling_matrices.transposed(inverse, settings.bands)
     return rescaling_matrices.square(k, settings.bands, source="masked", nodes=64)
 
 
