@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from diffopt.cli.comparing_levels import rendering
+from diffopt.cli.comparing_shadows import shadows
 
 app = typer.Typer(
     help="Compare all ways to compute the same: set-up, run time, memory, measured error.",
@@ -20,6 +21,7 @@ def _root() -> None:
 
 
 app.command("rendering")(rendering)
+app.command("shadows")(shadows)
 
 
 @app.command("diffraction")
