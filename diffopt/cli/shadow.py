@@ -30,7 +30,7 @@ PAPER = {
 _CHECKED, _CHECK_SIZE = 3, 40
 # A loop of the animated picture, and its least and most for a frame: milliseconds.
 _LOOP, _LEAST, _MOST = 5000, 40, 200
-_MOST_FRAMES = 9999
+_MOST_FRAMES, _MOST_SAMPLES = 9999, 2**24
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,6 +101,11 @@ def command(
     _whole("--size", size, 2, 4096)
     _whole("--spp", spp, 1, 8)
     resolution = _pixels(picture)
+    samples = resolution[0] * resolution[1] * spp**2
+    if samples > _MOST_SAMPLES:
+        raise InputError(
+            f"--picture {picture} --spp {spp} are {samples} samples; at most {_MOST_SAMPLES}"
+        )
     with user_input():
         settings = _settings(
             bands=bands, rays=rays, shells=shells, map=map_, combination=combination
@@ -325,9 +330,12 @@ def _write_gif(images: "list[np.ndarray]", path: Path, count: int) -> None:
 
     from diffopt.io.files import replacing
 
-    some = images[:: max(1, len(images) // 4)]
-    palette = PIL.Image.fromarray(np.concatenate([image[::2, ::2] for image in some]))
-    palette = palette.quantize(255, method=PIL.Image.Quantize.MEDIANCUT)
+    # Colours count alike, however large their areas: those of small things stay.
+    some = np.concatenate([image.reshape(-1, 3) for image in images[:: max(1, len(images) // 6)]])
+    colours = np.unique(some & 0xFC, axis=0)
+    palette = PIL.Image.fromarray(colours[None]).quantize(
+        255, method=PIL.Image.Quantize.MEDIANCUT, kmeans=1
+    )
     first, *rest = (
         PIL.Image.fromarray(image).quantize(palette=palette, dither=PIL.Image.Dither.FLOYDSTEINBERG)
         for image in images

@@ -53,7 +53,7 @@ class Animation:
     faces: Int[np.ndarray, "F 3"]
     shape: Callable[[float], Float[np.ndarray, "V 3"]]
     pose: Callable[[float], tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]]
-    limbs: tuple[Int[np.ndarray, "n 3"], ...] = ()
+    limbs: tuple[Int[np.ndarray, "_ 3"], ...] = ()
     colour: tuple[float, float, float] = (0.6, 0.6, 0.6)
 
     def vertices(self, t: float) -> Float[np.ndarray, "V 3"]:

@@ -77,14 +77,14 @@ def tube_faces(rings: int, sides: int) -> Int[np.ndarray, "F 3"]:
     )
 
 
-def joined(parts: Sequence[Int[np.ndarray, "F 3"]], counts: Sequence[int]) -> list[np.ndarray]:
+def joined(parts: Sequence[Int[np.ndarray, "_ 3"]], counts: Sequence[int]) -> list[np.ndarray]:
     """Faces of meshes whose vertices, so many of each, follow each other in one array."""
     first = np.concatenate([[0], np.cumsum(counts)[:-1]])
     return [part + at for part, at in zip(parts, first, strict=True)]
 
 
 @lru_cache(maxsize=1)
-def creature_parts() -> tuple[Int[np.ndarray, "n 3"], ...]:
+def creature_parts() -> tuple[Int[np.ndarray, "_ 3"], ...]:
     """Faces of the creature: body with head, horns and legs, tail, left wing, right wing."""
     body = tube_faces(len(_SPINE), _ROUND)
     limbs = [tube_faces(5, 5)] * 2 + [tube_faces(6, 6)] * 2

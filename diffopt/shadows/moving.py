@@ -67,7 +67,7 @@ class Occluder:
         faces: Int[np.ndarray, "F 3"],
         settings: ShadowSettings | None = None,
         *,
-        parts: int | Sequence[Int[np.ndarray, "n 3"]] = 1,
+        parts: int | Sequence[Int[np.ndarray, "_ 3"]] = 1,
         backend: str = "embree",
     ) -> None:
         self.faces = np.asarray(faces)

@@ -22,7 +22,7 @@ _BACK_RGB = np.array([[0.15, 0.155, 0.165], [0.05, 0.055, 0.065]])
 # The ground fades from here to the rim of the receivers, as a share of half their width.
 _FADE = 0.5
 # Directions to the sky from the object's vertices, and points of the lamp.
-_POLAR, _AZIMUTHAL, _LAMP_POINTS = 10, 20, 6
+_POLAR, _AZIMUTHAL, _LAMP_POINTS = 12, 28, 6
 # Rays leave a surface this far from it.
 _OFFSET = 2e-3
 # Brightness of the open ground before the tone curve.
