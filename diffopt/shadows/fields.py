@@ -265,7 +265,12 @@ def shadow_field(
             away = points.reshape(-1, 3) - centre
             nearest = float(np.sqrt((away**2).sum(1).min())) / radius
     if emission is not None:
-        emission = np.asarray(emission, np.float32).reshape(len(faces), -1)
+        emission = np.asarray(emission, np.float32)
+        if emission.ndim not in (1, 2) or len(emission) != len(faces):
+            raise InputError(
+                f"emission must be [{len(faces)}] or [{len(faces)}, C]; received {emission.shape}"
+            )
+        emission = emission.reshape(len(faces), -1)
     samples = sampling.sample(
         vertices,
         faces,
