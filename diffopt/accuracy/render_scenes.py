@@ -44,7 +44,7 @@ def _floor(material: Material | scenes.Textured) -> Object:
     return Object(scenes.Plane(12.0, 12.0), material)
 
 
-_BALLS = Camera(eye=(0.0, -6.5, 2.4), target=(0.0, 0.2, 0.7), field_of_view=30.0)
+_BALLS = Camera(eye=(0.0, -6.5, 2.4), target=(0.0, 0.2, 0.7), field_of_view=40.0)
 
 
 def _balls() -> Subject:
