@@ -55,8 +55,8 @@ class ProjectedBRDF(eqx.Module):
         share = (value - low.astype(value.dtype))[:, None]
         table = self.table[:, : bands**2]
         local = ((1.0 - share) * table[low] + share * table[low + 1]).T
-        local = jnp.where(upright > 0.0, local, 0.0)
-        return _to_normal(local, normals, views - upright * normals)
+        local = jnp.where(upright[None] > 0.0, local, 0.0)
+        return _to_normal(local, normals, views - upright[None] * normals)
 
 
 def _to_normal(local: Array, normals: Array, across: Array) -> Array:
