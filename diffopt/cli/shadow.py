@@ -29,7 +29,7 @@ PAPER = {
 # Of a comparison with the truth: frames, and receivers on a side.
 _CHECKED, _CHECK_SIZE = 3, 40
 # A loop of the animated picture, and its least and most for a frame: milliseconds.
-_LOOP, _LEAST, _MOST = 5000, 40, 200
+_LOOP, _LEAST, _MOST = 3600, 40, 200
 _MOST_FRAMES, _MOST_SAMPLES = 9999, 2**24
 
 
@@ -64,7 +64,7 @@ def command(
         typer.Option(help="Mesh to twist and bend instead: ply, obj, stl, off, glb or gltf."),
     ] = None,
     up: Annotated[str, typer.Option(help="Axis of the mesh that is upwards: x, y or z.")] = "y",
-    frames: Annotated[int, typer.Option(help="Of a loop.")] = 24,
+    frames: Annotated[int, typer.Option(help="Of a loop.")] = 36,
     size: Annotated[int, typer.Option(help="Receivers on a side of the ground.")] = 160,
     picture: Annotated[str, typer.Option(metavar="WxH", help="Pixels of a frame.")] = "640x400",
     spp: Annotated[int, typer.Option(help="Samples on a side of each pixel.")] = 2,
