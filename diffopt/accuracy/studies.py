@@ -45,6 +45,12 @@ NAMES: dict[str, str] = {
     "material.fresnel": "diffopt.accuracy.material_studies:FRESNEL",
     "material.masking": "diffopt.accuracy.material_studies:MASKING",
     "material.table": "diffopt.accuracy.material_studies:TABLES",
+    "shadow.bands": "diffopt.accuracy.shadow_studies:BANDS",
+    "shadow.combination": "diffopt.accuracy.shadow_studies:COMBINATION",
+    "shadow.directions": "diffopt.accuracy.shadow_studies:DIRECTIONS",
+    "shadow.map": "diffopt.accuracy.shadow_studies:MAPS",
+    "shadow.radial": "diffopt.accuracy.shadow_studies:RADIAL",
+    "shadow.rays": "diffopt.accuracy.shadow_studies:RAYS",
 }
 
 Value = str | int | float | bool
