@@ -163,7 +163,7 @@ def test_progress_counts_frames(tmp_path, monkeypatch):
         (["--scene", "egg", "--mesh", "a.ply"], "--scene egg and --mesh a.ply: give one of them"),
         (["--mesh", "a.ply"], "a.ply: no such file"),
         (["--up", "w"], "--up must be one of x, y, z; received 'w'"),
-        (["--frames", "0"], "--frames must lie between 1 and 9999; received 0"),
+        (["--frames", "0"], "--frames must lie between 1 and 999; received 0"),
         (["--size", "1"], "--size must lie between 2 and 4096; received 1"),
         (["--spp", "9"], "--spp must lie between 1 and 8; received 9"),
         (["--picture", "12"], "--picture must be WxH, 1 to 16384 pixels each; received '12'"),

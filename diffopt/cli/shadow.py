@@ -30,7 +30,7 @@ PAPER = {
 _CHECKED, _CHECK_SIZE = 3, 40
 # A loop of the animated picture, and its least and most for a frame: milliseconds.
 _LOOP, _LEAST, _MOST = 3600, 40, 200
-_MOST_FRAMES, _MOST_SAMPLES = 9999, 2**24
+_MOST_FRAMES, _MOST_SAMPLES = 999, 2**24
 
 
 @dataclasses.dataclass(frozen=True)
@@ -159,7 +159,6 @@ class Film:
         self.sky = distant_light(animations.sky, settings.bands)
         self.stage = pictures.Stage(resolution, spp)
         self.frames: list[Frame] = []
-        self.images: list[np.ndarray] = []
         self.occluder = self._occluder()
 
     def _occluder(self) -> Any:
@@ -218,7 +217,6 @@ class Film:
         step = -(-count // _CHECKED)
         error = self.error() if check and number % step == 0 else None
         times = self.occluder.times
-        self.images.append(image)
         self.frames.append(
             Frame(
                 number, t, times.sampling, times.conversion, shaded - begun, drawn - shaded, error
@@ -273,7 +271,7 @@ class Film:
         """Animation, table and numbers."""
         import csv
 
-        _write_gif(self.images, folder / "animation.gif", count)
+        _write_gif(folder, len(self.frames), count)
         (folder / "times.txt").write_text("\n".join(self.text()) + "\n", encoding="utf-8")
         with (folder / "times.csv").open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
@@ -323,25 +321,27 @@ def frame_name(number: int) -> str:
     return f"frame_{number:04d}.png"
 
 
-def _write_gif(images: "list[np.ndarray]", path: Path, count: int) -> None:
+def _write_gif(folder: Path, done: int, count: int) -> None:
     """All frames in one set of colours, so that nothing flickers."""
     import numpy as np
     import PIL.Image
 
     from diffopt.io.files import replacing
 
+    def frame(number: int) -> Any:
+        with PIL.Image.open(folder / frame_name(number)) as image:
+            return image.convert("RGB")
+
     # Colours count alike, however large their areas: those of small things stay.
-    some = np.concatenate([image.reshape(-1, 3) for image in images[:: max(1, len(images) // 6)]])
-    colours = np.unique(some & 0xFC, axis=0)
+    some = [np.asarray(frame(k)).reshape(-1, 3) & 0xFC for k in range(0, done, -(-done // 6))]
+    colours = np.unique(np.concatenate(some), axis=0)
     palette = PIL.Image.fromarray(colours[None]).quantize(
         255, method=PIL.Image.Quantize.MEDIANCUT, kmeans=1
     )
-    first, *rest = (
-        PIL.Image.fromarray(image).quantize(palette=palette, dither=PIL.Image.Dither.FLOYDSTEINBERG)
-        for image in images
-    )
+    dither = PIL.Image.Dither.FLOYDSTEINBERG
+    first, *rest = (frame(k).quantize(palette=palette, dither=dither) for k in range(done))
     duration = min(max(_LOOP // count, _LEAST), _MOST)
-    with replacing(path) as file:
+    with replacing(folder / "animation.gif") as file:
         first.save(file, format="GIF", save_all=True, append_images=rest, duration=duration, loop=0)
 
 

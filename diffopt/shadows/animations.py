@@ -23,7 +23,7 @@ GROUND = 8.0
 
 _TURN = 2.0 * np.pi
 _SUN = np.array([-0.50, -0.34, 0.80]) / np.linalg.norm([-0.50, -0.34, 0.80])
-_SKY_RGB, _SUN_RGB = np.array([0.235, 0.285, 0.37]), np.array([3.1, 2.68, 2.02])
+_SKY_RGB, _SUN_RGB = np.array([0.25, 0.285, 0.345]), np.array([3.1, 2.68, 2.02])
 _SHARPNESS = 15.0
 _LAMP_RGB = (62.0, 32.0, 11.0)
 _LAMP_RADIUS = 0.12
