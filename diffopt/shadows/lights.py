@@ -44,8 +44,8 @@ class DistantLight(eqx.Module):
         return self.matrix.shape[0]
 
     def gathered(
-        self, visible: Float[Array, "L2 #N"], response: Float[Array, "R #N"], places: np.ndarray
-    ) -> Float[Array, "C #N"]:
+        self, visible: Float[Array, " L2 #N"], response: Float[Array, " R #N"], places: np.ndarray
+    ) -> Float[Array, " C #N"]:
         """Light that comes through visibility, times a response known by some coefficients.
 
         N of the response may be 1: one for all.

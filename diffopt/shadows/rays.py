@@ -1,5 +1,6 @@
 """What rays meet of one mesh: Embree on the CPU, or JAX on any device."""
 
+import functools
 from typing import Any, Literal, get_args
 
 import jax
@@ -14,6 +15,10 @@ from diffopt.kernels import hierarchy, intersect
 Backend = Literal["embree", "jax"]
 # Rays of the JAX backend at once.
 _BLOCK = 2**15
+# Backs of faces that a ray goes through at most, and how far behind one it goes on, in units of
+# the mesh, which lies in a sphere of radius 1.
+_LAYERS = 32
+_BEHIND = 1e-5
 
 
 class Rays:
@@ -52,6 +57,7 @@ class Rays:
             TriangleMesh(self._scene, corners)
         else:
             self._tree = hierarchy.build(corners)
+        self._corners, self._faces = corners, faces
 
     def blocked(
         self, starts: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
@@ -72,6 +78,55 @@ class Rays:
         if self.backend == "embree":
             return np.asarray(self._scene.run(starts, directions))
         return self._in_blocks(_face, starts, directions)
+
+    def fronts(
+        self, starts: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
+    ) -> Bool[np.ndarray, " n"]:
+        """Whether each ray meets the front of a face, whatever backs it goes through before.
+
+        From outside a closed mesh this is whether it meets anything. From inside it leaves the
+        body freely: what is seen then changes little as a point crosses the surface.
+        """
+        starts, directions = (np.asarray(a, np.float32) for a in (starts, directions))
+        found = np.zeros(len(starts), bool)
+        going = np.arange(len(starts))
+        for _ in range(_LAYERS):
+            face = self.face(starts, directions)
+            met = face >= 0
+            going, starts, directions, face = (a[met] for a in (going, starts, directions, face))
+            facing = (self._normals[face] * directions).sum(1) < 0.0
+            found[going[facing]] = True
+            going, starts, directions, face = (
+                a[~facing] for a in (going, starts, directions, face)
+            )
+            if not len(going):
+                break
+            # Behind the plane of the face that was met.
+            normals = self._normals[face]
+            along = ((self._corners[face, 0] - starts) * normals).sum(1)
+            reach = np.maximum(along / (directions * normals).sum(1), 0.0) + _BEHIND
+            starts = starts + reach[:, None] * directions
+        return found
+
+    @functools.cached_property
+    def closed(self) -> bool:
+        """Whether the mesh is closed and wound outwards: each edge once in either direction."""
+        _, same = np.unique(self._corners.reshape(-1, 3), axis=0, return_inverse=True)
+        ends = same.reshape(-1, 3)
+        edges = ends[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
+        edges = edges[edges[:, 0] != edges[:, 1]]
+        there = edges[:, 0] * (ends.max() + 1) + edges[:, 1]
+        back = edges[:, 1] * (ends.max() + 1) + edges[:, 0]
+        if len(np.unique(there)) != len(there) or len(np.setdiff1d(there, back)):
+            return False
+        a, b, c = (self._corners[:, i].astype(np.float64) for i in range(3))
+        return float((a * np.cross(b, c)).sum()) > 0.0
+
+    @functools.cached_property
+    def _normals(self) -> Float[np.ndarray, "F 3"]:
+        a, b, c = (self._corners[:, i] for i in range(3))
+        normals = np.cross(b - a, c - a)
+        return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
 
     def _in_blocks(self, query: Any, starts: np.ndarray, directions: np.ndarray) -> np.ndarray:
         found = []

@@ -132,7 +132,10 @@ def _one(
         part = slice(first, min(first + count, total))
         starts, directions = shells.in_object(shell, grid, part)
         if emission is None:
-            seen = rays.blocked(starts, directions).reshape(-1, len(shell.directions))
+            # Within the sphere a point may lie in the body, where all rays would be blocked.
+            inside = shell.distance < 1.0 and rays.closed
+            seen = (rays.fronts if inside else rays.blocked)(starts, directions)
+            seen = seen.reshape(-1, len(shell.directions))
             found.append(shell.projection @ seen.T.astype(np.float32))
         else:
             face = rays.face(starts, directions)
