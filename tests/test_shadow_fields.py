@@ -96,12 +96,38 @@ def test_visibility_against_rays_at_all_distances():
         field = cases.field(name, ShadowSettings(bands=BANDS), receivers=points)
         right = cases.hidden([cases.shape(name)], points, BANDS)
         off = np.asarray(field.coefficients(jnp.asarray(points, float))) - right
-        off, right = ((a * a).sum(0).reshape(len(DISTANCES), -1).sum(1) for a in (off, right))
-        errors.append(np.sqrt(off / right))
+        # Nothing is to be seen from within the body.
+        free = right[0] < 0.99 * np.sqrt(4.0 * np.pi)
+        off, right = (
+            np.where(free, (a * a).sum(0), 0.0).reshape(len(DISTANCES), -1).sum(1)
+            for a in (off, right)
+        )
+        errors.append(np.sqrt(off / np.where(right > 0.0, right, np.nan)))
     errors = np.array(errors)
-    assert (errors.mean(0) < list(DISTANCES.values())).all(), errors.mean(0)
+    mean = np.nanmean(errors, 0)
+    assert (mean < list(DISTANCES.values())).all(), mean
     # No shape is far off outside its sphere.
     assert (errors[:, 2:] < 0.15).all(), errors
+
+
+def test_bodies_do_not_darken_what_lies_on_them():
+    """From outside a closed mesh its fronts hide what the mesh hides; from inside, nothing."""
+    for name in ("small", "torus"):
+        caster = Rays(*cases.shape(name))
+        assert caster.closed
+        to, _ = harmonics.sphere_rule(6, 12)
+        starts = np.repeat(1.2 * cases.towards(8), len(to), 0)
+        to = np.tile(to, (8, 1))
+        hit = caster.blocked(starts, to)
+        assert hit.any()
+        assert (caster.fronts(starts, to) == hit).all()
+    caster = Rays(*cases.shape("small"))
+    middle = np.broadcast_to(cases.shape("small")[0].mean(0), to.shape)
+    assert caster.blocked(middle, to).all()
+    assert not caster.fronts(middle, to).any()
+    vertices, faces = cases.shape("small")
+    assert not Rays(vertices, faces[1:]).closed
+    assert not Rays(vertices, faces[:, ::-1]).closed
 
 
 def all_hidden(settings):

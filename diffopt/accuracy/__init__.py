@@ -11,6 +11,8 @@
 `material_studies`        studies of reflectances, masking, colour and tables
 `energy_studies`          study of what rough facets lose
 `lobe_studies`            studies of closed forms for lobes; those of fits are in `fitting`
+`shadow_studies`          studies of shadow fields; `shadow_scenes`: what they are judged on
+`shadow_benchmarks`       benchmarks of receivers, samples and tables of shadow fields
 `validity`                the scalar models against rigorous optics
 `measurement`             cost of a compiled function
 `comparison`              every method on one job, in one run

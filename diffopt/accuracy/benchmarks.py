@@ -35,6 +35,11 @@ NAMES: dict[str, str] = {
     "render.rays": "diffopt.accuracy.render_throughput:RAYS",
     "separable.grid": "diffopt.accuracy.diffraction_benchmarks:SEPARABLE_GRID",
     "separable.pairs": "diffopt.accuracy.diffraction_benchmarks:SEPARABLE_PAIRS",
+    "shadow.distances": "diffopt.accuracy.shadow_benchmarks:DISTANCES",
+    "shadow.matrices": "diffopt.accuracy.shadow_benchmarks:MATRICES",
+    "shadow.receivers": "diffopt.accuracy.shadow_benchmarks:RECEIVERS",
+    "shadow.sampling": "diffopt.accuracy.shadow_benchmarks:SAMPLING",
+    "shadow.table": "diffopt.accuracy.shadow_benchmarks:TABLE",
     "taylor.gather": "diffopt.accuracy.diffraction_benchmarks:TAYLOR_GATHER",
     "taylor.tables": "diffopt.accuracy.diffraction_benchmarks:TAYLOR_TABLES",
 }

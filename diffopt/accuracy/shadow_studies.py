@@ -54,9 +54,7 @@ def fields_of(
     return fields, sampling, time.perf_counter() - start
 
 
-def _case(
-    scene: str, settings: ShadowSettings, shown: dict[str, Value], quick: bool, axis: str
-) -> Case:
+def _case(scene: str, settings: ShadowSettings, shown: dict[str, Value], quick: bool) -> Case:
     def build() -> Job:
         right = shadow_scenes.solved(scene, _SIDE[quick], _POLAR[quick])
         # Once for what is compiled, once for the time.
@@ -78,7 +76,12 @@ def _case(
         return Job(shade, (jnp.asarray(right.points, jnp.float32), leaves), judge)
 
     conditions: dict[str, Value] = {"scene": scene}
-    return Case({**conditions, **shown}, "float32", build, (axis, *shown.values(), scene))
+    # Tables of one shape share a program; some receivers of the flat torus lie within its sphere.
+    program = (
+        *(settings.bands, settings.directions, settings.radial, settings.combination),
+        *(scene == "torus flat", len(shadow_scenes.bodies(scene))),
+    )
+    return Case({**conditions, **shown}, "float32", build, program)
 
 
 def irradiance(
@@ -97,7 +100,6 @@ def _floor(scene: str, quick: bool, bands: int) -> float:
 
 
 def _sweep(
-    axis: str,
     variants: list[tuple[dict[str, Value], dict[str, Any]]],
     quick: bool,
     bands: tuple[int, ...],
@@ -111,7 +113,6 @@ def _sweep(
             dataclasses.replace(ShadowSettings(bands=count), **changes),
             {"bands": count, **shown},
             quick,
-            axis,
         )
         for scene in scenes
         for count in (bands[:1] if quick else bands)
@@ -121,11 +122,7 @@ def _sweep(
 
 def _bands(quick: bool) -> list[Case]:
     counts = (2, 4, 6) if quick else (2, 3, 4, 5, 6, 7, 8)
-    return [
-        case
-        for count in counts
-        for case in _sweep("bands", [({}, {"shells": None})], quick, (count,))
-    ]
+    return [case for count in counts for case in _sweep([({}, {"shells": None})], quick, (count,))]
 
 
 def _maps(quick: bool) -> list[Case]:
@@ -135,7 +132,7 @@ def _maps(quick: bool) -> list[Case]:
     ]
     shells = (1, 2) if quick else (1, 2, 3, 4, 5, 6, 8)
     variants += [({"map": "tangent", "shells": n}, {"shells": n}) for n in shells]
-    return _sweep("map", variants, quick, (4, 8))
+    return _sweep(variants, quick, (4, 8))
 
 
 def _directions(quick: bool) -> list[Case]:
@@ -143,7 +140,7 @@ def _directions(quick: bool) -> list[Case]:
     variants: list[tuple[dict[str, Value], dict[str, Any]]] = [
         ({"polar": grid[0], "azimuthal": grid[1]}, {"directions": grid}) for grid in grids
     ]
-    return _sweep("directions", variants, quick, (4, 8))
+    return _sweep(variants, quick, (4, 8))
 
 
 def _rays(quick: bool) -> list[Case]:
@@ -151,7 +148,7 @@ def _rays(quick: bool) -> list[Case]:
     variants: list[tuple[dict[str, Value], dict[str, Any]]] = [
         ({"rays": count}, {"rays": count}) for count in counts
     ]
-    return _sweep("rays", variants, quick, (4, 8))
+    return _sweep(variants, quick, (4, 8))
 
 
 def _radial(quick: bool) -> list[Case]:
@@ -159,14 +156,14 @@ def _radial(quick: bool) -> list[Case]:
     variants: list[tuple[dict[str, Value], dict[str, Any]]] = [
         ({"radial": count}, {"radial": count}) for count in counts
     ]
-    return _sweep("radial", variants, quick, (4, 8))
+    return _sweep(variants, quick, (4, 8))
 
 
 def _combinations(quick: bool) -> list[Case]:
     variants: list[tuple[dict[str, Value], dict[str, Any]]] = [
         ({"combination": kind}, {"combination": kind}) for kind in ("sum", "product", "exponential")
     ]
-    return _sweep("combination", variants, quick, (4, 6, 8), (shadow_scenes.STACKED,))
+    return _sweep(variants, quick, (4, 6, 8), (shadow_scenes.STACKED,))
 
 
 _QUANTITY = "RMS error of irradiance over the unshadowed one; time of the receivers"

@@ -7,6 +7,7 @@ further).
 
 ===============  ==========================================================
 `settings`       how fields are sampled, combined and shaded
+`choosing`       settings that meet a tolerance
 `shells`         where they are sampled; `rays`: what rays meet
 `sampling`       samples of a mesh; `tables`: from them to all distances
 `fields`         a field in its place, read by receivers
@@ -22,6 +23,7 @@ further).
 ===============  ==========================================================
 """
 
+from diffopt.shadows.choosing import settings_for as settings_for
 from diffopt.shadows.fields import Field as Field
 from diffopt.shadows.fields import shadow_field as shadow_field
 from diffopt.shadows.lights import DistantLight as DistantLight
