@@ -527,3 +527,26 @@ def test_bad_receivers_and_lights(torus):
             shadows.irradiance(*arguments)
     with pytest.raises(InputError, match=r"rotation must be \[3, 3\]; received \(2, 2\)"):
         torus.moved(np.eye(2))
+
+
+def test_an_object_shadows_itself():
+    """Receivers on the surface, which lies within the sphere: against rays."""
+    vertices, faces = cases.shape("torus")
+    middles = vertices[faces].mean(1)[::40]
+    a, b, c = (vertices[faces][::40, i] for i in range(3))
+    normals = np.cross(b - a, c - a)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    points = middles + 1e-3 * normals
+    settings = ShadowSettings(bands=BANDS)
+    field = cases.field("torus", settings, receivers=points)
+    # Even light: irradiance is the share of what is open, times pi.
+    light = shadows.distant_light(1.0, BANDS)
+    found = np.asarray(shadows.irradiance(points, normals, [field], light))[:, 0] / np.pi
+    to, weights = harmonics.sphere_rule(32, 64)
+    caster = Rays(vertices, faces)
+    cosine = np.maximum(normals @ to.T, 0.0) * weights / np.pi
+    open_ = [~caster.blocked(np.broadcast_to(p, to.shape), to) for p in points]
+    right = (cosine * open_).sum(1)
+    assert right.min() < 0.8
+    # Linear between directions 15 degrees apart: a twentieth of what is hidden at most.
+    assert np.sqrt(np.mean((found - right) ** 2)) < 0.03
