@@ -162,7 +162,8 @@ def test_what_a_material_declares_holds(name):
         assert a.max() > 0.0
         # Float32 sees 1/alpha^2 roundings of the half vector in a peak.
         eps = float(jnp.finfo(a.dtype).eps)
-        np.testing.assert_allclose(a * scale, b, rtol=2e5 * eps, atol=1e-6 * eps)
+        # Where directions nearly cancel in it, values far below the peak lose more.
+        np.testing.assert_allclose(a * scale, b, rtol=2e5 * eps, atol=1e-2 * eps * b.max())
 
 
 @pytest.mark.parametrize("name", ["blinn-phong", "phong-halfway", "ggx", "ground glass"])

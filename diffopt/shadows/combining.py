@@ -6,10 +6,12 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from diffopt.errors import InputError
 from diffopt.kernels import harmonic_products
+from diffopt.shadows import tables
 from diffopt.shadows.fields import Field
 
 # Least visibility whose logarithm is taken: truncated visibility rings below 0.
@@ -74,13 +76,16 @@ def logarithms(fields: Sequence[Field]) -> list[Field]:
 def _logarithm(field: Field) -> Field:
     rows, polar, azimuthal, width = field.table.shape
 
-    def one(row: Array) -> Array:
-        flat = row.reshape(-1, width).T
+    fall = np.ones(rows)
+    fall[field.inner :] = tables.row_squares(rows - field.inner - 1)
+
+    def one(row: tuple[Array, Array]) -> Array:
+        flat = (row[0] * row[1]).reshape(-1, width).T
         clear = nothing_hidden(field.bands, flat)
-        return harmonic_products.logarithm(clear - flat, _FLOOR).T
+        return harmonic_products.logarithm(clear - flat, _FLOOR).T / row[1]
 
     # Row by row: on the grid a table is some twenty times as large.
-    found = jax.lax.map(one, field.table)
+    found = jax.lax.map(one, (field.table, jnp.asarray(fall, field.table.dtype)))
     return eqx.tree_at(lambda f: f.table, field, found.reshape(rows, polar, azimuthal, width))
 
 

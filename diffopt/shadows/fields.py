@@ -112,9 +112,10 @@ class Field(eqx.Module):
 
 
 class _Place(NamedTuple):
-    """Rows and shares in the table, and the direction from the centre."""
+    """Rows and shares in the table, the fall with distance, the direction from the centre."""
 
     corner: Array
+    fall: Array
     shares: tuple[Array, Array, Array]
     cos_polar: Array
     sin_polar: Array
@@ -164,6 +165,7 @@ def _place(away: Array, field: Field) -> _Place:
     corner = (corners[0] * polar + corners[1]) * azimuthal + corners[2]
     return _Place(
         corner,
+        jnp.where(distance > 1.0, inverse * inverse, 1.0),
         (shares[0], shares[1], shares[2]),
         cos_polar,
         across * inverse,
@@ -180,7 +182,7 @@ def _read(table: Array, place: _Place) -> Array:
     for row in (0, 1):
         for up in (0, 1):
             for right in (0, 1):
-                share = jnp.ones_like(place.shares[0])
+                share = place.fall
                 for part, upper in zip(place.shares, (row, up, right), strict=True):
                     share = share * (part if upper else 1.0 - part)
                 step = (row * polar + up) * azimuthal + right

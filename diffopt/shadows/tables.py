@@ -25,6 +25,8 @@ from diffopt.shadows.settings import ShadowSettings
 NEAREST = 0.9999
 # sqrt(acos k) there, and at infinity.
 FIRST, LAST = math.sqrt(math.acos(NEAREST)), math.sqrt(0.5 * math.pi)
+# k that stands for infinity, and the least for which the square map is evaluated.
+_FARTHEST, _SQUARE_FARTHEST = 1e-3, 1.0 / 64.0
 # Rows inside the sphere where nothing is sampled there, and the largest k by which the square map
 # expands a view.
 _EXPANDED = 12
@@ -34,6 +36,16 @@ _DEEPEST = 8.0
 def row_ratios(settings: ShadowSettings) -> Float[np.ndarray, " r"]:
     """Ratio r / d of the rows from the sphere outwards."""
     return np.cos(np.linspace(FIRST, LAST, settings.radial + 1) ** 2)
+
+
+def row_squares(radial: int) -> Float[np.ndarray, " r"]:
+    """Squares of k of the rows from the sphere outwards, by which their entries are divided.
+
+    Far away all that is seen falls with k^2. Entries without that factor are even there, where a
+    line between two of them would hide (or shine) several times too much.
+    """
+    k = np.cos(np.linspace(FIRST, LAST, radial + 1) ** 2)
+    return np.maximum(k, _FARTHEST) ** 2
 
 
 def radial_weights(settings: ShadowSettings) -> Float[np.ndarray, "r s"]:
@@ -83,17 +95,19 @@ def _operators(settings: ShadowSettings, dtype: str, expanded: bool, emits: bool
     k = jnp.asarray(row_ratios(settings), dtype)
     one = jnp.ones(1, dtype)
     if settings.map == "tangent":
-        entries = rescaling_matrices.tangent(k, bands, nodes=32)
+        entries = rescaling_matrices.tangent(jnp.maximum(k, _FARTHEST), bands, nodes=32)
         to_sphere = _dense(rescaling_matrices.tangent(one, bands, nodes=32), bands)[0]
     else:
-        entries = _paper(jnp.maximum(k, 1.0 / 64.0), settings, emits)
-        entries = jnp.where(k > 1e-6, entries, 0.0)
+        # Farther than this, what the square map makes of a view falls with k^2 to 3 %.
+        close = jnp.maximum(k, _SQUARE_FARTHEST)
+        entries = _paper(close, settings, emits) * ((jnp.maximum(k, _FARTHEST) / close) ** 2)[None]
         to_sphere = jnp.eye(bands**2, dtype=dtype)
     inside = None
     if expanded:
         distance = np.arange(1, _EXPANDED) / _EXPANDED
         ratio = jnp.asarray(np.minimum(1.0 / distance, _DEEPEST), dtype)
         inside = _dense(_paper(ratio, settings, emits), bands) @ to_sphere
+    entries = entries / jnp.asarray(row_squares(settings.radial), dtype)[None]
     return _Operators(jnp.asarray(radial_weights(settings), dtype), _dense(entries, bands), inside)
 
 
