@@ -1,6 +1,7 @@
 """``diffopt shadow``, run in this process."""
 
 import csv
+import dataclasses
 import itertools
 import json
 
@@ -10,6 +11,7 @@ import pytest
 import trimesh
 
 from diffopt.cli import main, progress, shadow
+from diffopt.errors import InputError
 from diffopt.shadows import animations, pictures
 
 QUICK = [
@@ -101,7 +103,7 @@ def test_parts_maps_and_a_mesh(tmp_path, capsys):
 
 def test_limbs_of_the_creature_are_its_parts():
     scene = animations.animation("creature")
-    settings = shadow._settings(bands=3, rays=8, shells=2)
+    settings = shadow._settings(None, 1, bands=3, rays=8, shells=2)
     film = shadow.Film(scene, settings, 4, 4, (12, 8), 1)
     assert film.occluder._count == 4
     film.occluder.update(scene.shape(0.0))
@@ -199,3 +201,14 @@ def test_a_file_in_place_of_the_folder(tmp_path, capsys):
     target.write_text("")
     assert main(["shadow", "-o", str(target)]) == 2
     assert capsys.readouterr().err.endswith("is a file; expected a folder for the results\n")
+
+
+def test_settings_by_tolerance():
+    coarse = shadow._settings(0.05, 1)
+    fine = shadow._settings(0.01, 1)
+    assert coarse.bands < fine.bands
+    assert shadow._settings(0.01, 1, rays=7) == dataclasses.replace(fine, rays=7)
+    with pytest.raises(InputError, match=r"^--tolerance 1e-05 is met by no settings"):
+        shadow._settings(1e-5, 1)
+    with pytest.raises(InputError, match=r"^--tolerance is met by the tangent map.*'square'"):
+        shadow._settings(0.01, 1, map="square")

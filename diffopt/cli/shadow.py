@@ -68,8 +68,14 @@ def command(
     size: Annotated[int, typer.Option(help="Receivers on a side of the ground.")] = 160,
     picture: Annotated[str, typer.Option(metavar="WxH", help="Pixels of a frame.")] = "640x400",
     spp: Annotated[int, typer.Option(help="Samples on a side of each pixel.")] = 2,
-    bands: Annotated[int, typer.Option(help="Of spherical harmonics.")] = 4,
-    rays: Annotated[int, typer.Option(help="On a side, from each point of a shell.")] = 32,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(help="RMS error of light over the open light: the cheapest settings for it."),
+    ] = None,
+    bands: Annotated[int | None, typer.Option(help="Of spherical harmonics. [default: 4]")] = None,
+    rays: Annotated[
+        int | None, typer.Option(help="On a side, from each point of a shell. [default: 32]")
+    ] = None,
     shells: Annotated[
         int | None,
         typer.Option(help="Distances that are sampled. [default: 2 + bands / 2, or 1 by the map]"),
@@ -107,8 +113,13 @@ def command(
             f"--picture {picture} --spp {spp} are {samples} samples; at most {_MOST_SAMPLES}"
         )
     with user_input():
+        chosen = {"bands": bands, "rays": rays, "shells": shells}
         settings = _settings(
-            bands=bands, rays=rays, shells=shells, map=map_, combination=combination
+            tolerance,
+            parts,
+            map=map_,
+            combination=combination,
+            **{name: value for name, value in chosen.items() if value is not None},
         )
         if mesh is not None and scene is not None:
             raise InputError(f"--scene {scene} and --mesh {mesh}: give one of them")
@@ -407,15 +418,22 @@ def _animation(scene: str, mesh: str | None, up: str) -> "Animation":
     return animations.of_mesh(loaded.vertices, loaded.faces, Path(mesh).name, up)
 
 
-def _settings(**words: Any) -> "ShadowSettings":
-    """Settings, whose faults are named as options."""
+def _settings(tolerance: float | None, parts: int, **words: Any) -> "ShadowSettings":
+    """Settings by tolerance and by what is given, which counts; faults are named as options."""
+    from diffopt.shadows.choosing import settings_for
     from diffopt.shadows.settings import ShadowSettings
 
     try:
-        return ShadowSettings(**words)
+        if tolerance is None:
+            return ShadowSettings(**words)
+        if words.get("map", "tangent") != "tangent":
+            raise InputError(f"tolerance is met by the tangent map; received {words['map']!r}")
+        found = settings_for(tolerance, receivers_inside=True, occluders=max(parts, 1))
+        return dataclasses.replace(found, **words)
     except InputError as error:
         text = str(error)
-        named = next((name for name in words if text.startswith(name)), None)
+        known = ("tolerance", *words)
+        named = next((name for name in known if text.startswith(name)), None)
         raise InputError(text if named is None else f"--{text}") from None
 
 
