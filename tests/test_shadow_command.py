@@ -10,7 +10,7 @@ import PIL.Image
 import pytest
 import trimesh
 
-from diffopt.cli import main, progress, shadow
+from diffopt.cli import film, main, progress, shadow
 from diffopt.errors import InputError
 from diffopt.shadows import animations, pictures
 
@@ -104,10 +104,10 @@ def test_parts_maps_and_a_mesh(tmp_path, capsys):
 def test_limbs_of_the_creature_are_its_parts():
     scene = animations.animation("creature")
     settings = shadow._settings(None, 1, bands=3, rays=8, shells=2)
-    film = shadow.Film(scene, settings, 4, 4, (12, 8), 1)
-    assert film.occluder._count == 4
-    film.occluder.update(scene.shape(0.0))
-    widths = [float(field.radius) for field in film.occluder.fields]
+    made = film.Film(scene, settings, 4, 4, (12, 8), 1)
+    assert made.occluder._count == 4
+    made.occluder.update(scene.shape(0.0))
+    widths = [float(field.radius) for field in made.occluder.fields]
     assert widths[2] == pytest.approx(widths[3])
     assert max(widths) < 1.0
 
