@@ -20,8 +20,7 @@ from jaxtyping import Float
 from diffopt import checks
 from diffopt.accuracy import output, shadow_scenes
 from diffopt.errors import InputError
-from diffopt.kernels import harmonics
-from diffopt.shadows import animations, fields, lights, parts, rays, sampling, shading, tables
+from diffopt.shadows import animations, fields, lights, parts, sampling, shading, tables
 from diffopt.shadows import truth as ray_cast
 from diffopt.shadows.settings import ShadowSettings
 
@@ -40,8 +39,6 @@ METHODS: dict[str, dict[str, Any]] = {
 # Of the loop of an animation, where the creature's wings are up and the egg is no egg.
 _MOMENT = 0.3
 _PARTS = 4
-# Rays at once.
-_AT_ONCE = 2**20
 
 
 @dataclasses.dataclass(frozen=True)
@@ -203,16 +200,10 @@ def _solve(name: str, bands: tuple[int, ...], side: int, polar: int) -> _Solved:
     points = shading.plane(8.0, side).reshape(-1, 3)
     above, weights = ray_cast.directions_above(polar, 2 * polar)
     light = shadow_scenes.radiance(above) * above[:, 2] * weights
-    weighted = {count: _cut(above, weights, light, count) for count in bands}
-    caster = rays.Rays(vertices, faces)
+    weighted = {count: shadow_scenes.cut_light(above, weights, count) for count in bands}
     shadow = np.empty(len(points))
     cut = {count: np.empty(len(points)) for count in bands}
-    block = max(1, _AT_ONCE // len(above))
-    for first in range(0, len(points), block):
-        here = points[first : first + block]
-        starts = np.repeat(here, len(above), 0) + 1e-5 * np.tile(above, (len(here), 1))
-        hidden = caster.blocked(starts, np.tile(above, (len(here), 1))).reshape(len(here), -1)
-        part = slice(first, first + len(here))
+    for part, hidden in ray_cast.hidden(points, [(vertices, faces)], above):
         shadow[part] = hidden @ light
         for count, factor in weighted.items():
             cut[count][part] = hidden @ factor
@@ -222,12 +213,6 @@ def _solve(name: str, bands: tuple[int, ...], side: int, polar: int) -> _Solved:
         for count, values in cut.items()
     }
     return _Solved(points, vertices, faces, centre, radius, 1.0 - shadow / total, total, floors)
-
-
-def _cut(above: np.ndarray, weights: np.ndarray, light: np.ndarray, bands: int) -> np.ndarray:
-    """What hidden light becomes when what hides it is cut to bands: a weight of each ray."""
-    basis = harmonics.numpy_basis(above, bands)
-    return (basis @ light) @ (basis * weights)
 
 
 def _row(

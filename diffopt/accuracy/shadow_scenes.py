@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from diffopt.kernels import harmonics
-from diffopt.shadows import rays, shading, truth
+from diffopt.shadows import shading, truth
 
 #: Scenes of one object; the flat torus cuts its sphere with the plane.
 SINGLE = ("capsule", "sphere", "torus flat", "torus tilted")
@@ -136,18 +136,20 @@ def floor(name: str, side: int, polar: int, bands: int, detail: int = 1) -> floa
     """RMS error when the true visibility is cut to some bands: the least that is possible."""
     right = solved(name, side, polar, detail)
     above, weights = truth.directions_above(polar, 2 * polar)
-    casters = [rays.Rays(body.vertices, body.faces) for body in bodies(name, detail)]
-    basis = harmonics.numpy_basis(above, bands)
-    # Light times the cosine, cut to the bands: what a cut visibility meets.
-    light = basis @ (radiance(above) * above[:, 2] * weights)
+    meshes = [(body.vertices, body.faces) for body in bodies(name, detail)]
+    factor = cut_light(above, weights, bands)
     found = np.empty(len(right.points))
-    for i, point in enumerate(right.points):
-        starts = np.broadcast_to(point, above.shape) + 1e-5 * above
-        hidden = np.zeros(len(above), bool)
-        for caster in casters:
-            hidden |= caster.blocked(starts, above)
-        found[i] = 1.0 - light @ (basis @ (hidden * weights)) / right.unshadowed
+    for part, hidden in truth.hidden(right.points, meshes, above):
+        found[part] = 1.0 - hidden @ factor / right.unshadowed
     return rms(found, right)
+
+
+def cut_light(
+    above: Float[np.ndarray, "n 3"], weights: Float[np.ndarray, " n"], bands: int
+) -> Float[np.ndarray, " n"]:
+    """What each hidden direction takes of the light when what hides it is cut to bands."""
+    basis = harmonics.numpy_basis(above, bands)
+    return (basis @ (radiance(above) * above[:, 2] * weights)) @ (basis * weights)
 
 
 def rms(found: Any, right: Truth) -> float:

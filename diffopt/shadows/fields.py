@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 
 from diffopt.errors import InputError
 from diffopt.kernels import harmonic_rotation
+from diffopt.kernels.tabulated import root
 from diffopt.shadows import sampling, tables
 from diffopt.shadows.settings import ShadowSettings
 
@@ -83,7 +84,7 @@ class Field(eqx.Module):
     def distance(self, x: Float[Array, "3 N"]) -> Float[Array, " N"]:
         """From points [3, N] to the centre."""
         away = x - self.centre[:, None]
-        return _root(jnp.sum(away * away, 0))
+        return root(jnp.sum(away * away, 0))
 
     def seen(self, x: Float[Array, "3 N"]) -> Float[Array, "L2 N ..."]:
         """As `coefficients`, points as [3, N]."""
@@ -123,18 +124,12 @@ class _Place(NamedTuple):
     sin_azimuth: Array
 
 
-def _root(square: Array) -> Array:
-    """Square root, with slope 0 at 0."""
-    positive = square > 0.0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
-
-
 def _place(away: Array, field: Field) -> _Place:
     """Where points about the centre, [3, N] in radii, lie in the table."""
     rows, polar, azimuthal, _ = field.table.shape
     x, y, z = away
-    across = _root(x * x + y * y)
-    distance = _root(across * across + z * z)
+    across = root(x * x + y * y)
+    distance = root(across * across + z * z)
     off_centre, off_axis = distance > 0.0, across > 0.0
     inverse = 1.0 / jnp.where(off_centre, distance, 1.0)
     sideways = 1.0 / jnp.where(off_axis, across, 1.0)
@@ -284,8 +279,3 @@ def shadow_field(
         backend=backend,
     )
     return field_of(samples, settings, centre, radius)
-
-
-def empty(bands: int) -> Float[Array, " L2"]:
-    """Coefficients of visibility 1."""
-    return jnp.zeros(bands**2).at[0].set(math.sqrt(4.0 * math.pi))

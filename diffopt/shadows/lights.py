@@ -16,9 +16,10 @@ from jaxtyping import Array, Float
 
 from diffopt.errors import InputError
 from diffopt.kernels import harmonics
+from diffopt.kernels.tabulated import root
 from diffopt.materials.base import floating
 from diffopt.materials.checking import within
-from diffopt.shadows.fields import Field, _root
+from diffopt.shadows.fields import Field
 
 #: Bands of a response to distant light: of one normal for all receivers; of a normal for each,
 #: whose cosine has 1/64 in the last degree; of a BRDF.
@@ -76,7 +77,7 @@ def distant_light(radiance: Any, bands: int, nodes: int = _NODES) -> DistantLigh
         If the function returns another shape, or what is not finite.
     """
     directions, weights = harmonics.sphere_rule(nodes, 2 * nodes)
-    found = np.asarray(_function(radiance)(directions), np.float64)
+    found = np.asarray(radiance_function(radiance)(directions), np.float64)
     if found.ndim not in (1, 2) or len(found) != len(directions):
         raise InputError(
             f"radiance of {len(directions)} directions must be [n] or [n, C]; received "
@@ -91,7 +92,8 @@ def distant_light(radiance: Any, bands: int, nodes: int = _NODES) -> DistantLigh
     return DistantLight(jnp.asarray(matrix, jnp.result_type(float)))
 
 
-def _function(radiance: Any) -> Callable[[np.ndarray], Any]:
+def radiance_function(radiance: Any) -> Callable[[np.ndarray], Any]:
+    """What `distant_light` takes as a function of directions."""
     from diffopt.scenes.lights import Environment, LobeEnvironment
 
     if isinstance(radiance, LobeEnvironment):
@@ -150,7 +152,7 @@ class SphereLight(eqx.Module):
     def distance(self, x: Float[Array, "3 N"]) -> Float[Array, " N"]:
         """From points to the centre."""
         away = self.centre[:, None] - x
-        return _root(jnp.sum(away * away, 0))
+        return root(jnp.sum(away * away, 0))
 
     def source(self, x: Float[Array, "3 N"], bands: int) -> Float[Array, "L2 N C"]:
         """Coefficients of radiance at points: a cap of half-angle asin(R / d); within, a half."""
@@ -197,5 +199,4 @@ class FieldLight(eqx.Module):
         return self.field.seen(x)
 
 
-LocalLight = SphereLight | FieldLight
 Light = DistantLight | SphereLight | FieldLight

@@ -57,7 +57,7 @@ class Rays:
             TriangleMesh(self._scene, corners)
         else:
             self._tree = hierarchy.build(corners)
-        self._corners, self._faces = corners, faces
+        self._corners = corners
 
     def blocked(
         self, starts: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]

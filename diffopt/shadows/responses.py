@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffopt.kernels import harmonic_rotation, harmonics
-from diffopt.shadows.fields import _root
+from diffopt.kernels.tabulated import root
 
 
 def cosine(normals: Float[Array, "3 N"], bands: int) -> Float[Array, "L2 N"]:
@@ -62,14 +62,14 @@ class ProjectedBRDF(eqx.Module):
 def _to_normal(local: Array, normals: Array, across: Array) -> Array:
     """From the frame of a normal, x towards `across`, to the world's."""
     x, y, z = normals
-    flat = _root(x * x + y * y)
+    flat = root(x * x + y * y)
     off_axis = flat > 0.0
     safe = jnp.where(off_axis, flat, 1.0)
     cos_phi, sin_phi = jnp.where(off_axis, x / safe, 1.0), jnp.where(off_axis, y / safe, 0.0)
     # Components of `across` along e_theta and e_phi of the normal.
     along = z * (cos_phi * across[0] + sin_phi * across[1]) - flat * across[2]
     beside = cos_phi * across[1] - sin_phi * across[0]
-    length = _root(along * along + beside * beside)
+    length = root(along * along + beside * beside)
     turned = length > 0.0
     length = jnp.where(turned, length, 1.0)
     cos_twist = jnp.where(turned, along / length, 1.0)

@@ -1,13 +1,13 @@
 """The trusted reference: irradiance past meshes by rays to many directions."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from diffopt.kernels import harmonics
-from diffopt.shadows.lights import _function
+from diffopt.shadows.lights import radiance_function
 from diffopt.shadows.rays import Rays
 
 # Rays at once.
@@ -45,17 +45,27 @@ def irradiance(
     """
     points = np.asarray(points, np.float64).reshape(-1, 3)
     above, weights = directions_above(polar, azimuthal)
-    light = np.asarray(_function(radiance)(above), np.float64)
+    light = np.asarray(radiance_function(radiance)(above), np.float64)
     light = (light[:, None] if light.ndim == 1 else light) * (weights * above[:, 2])[:, None]
-    casters = [Rays(vertices, faces) for vertices, faces in meshes]
     found = np.empty((len(points), light.shape[1]))
-    count = max(1, _AT_ONCE // len(above))
+    for part, blocked in hidden(points, meshes, above):
+        found[part] = ~blocked @ light
+    return found, light.sum(0)
+
+
+def hidden(
+    points: Float[np.ndarray, "N 3"],
+    meshes: Sequence[tuple[Any, Any]],
+    directions: Float[np.ndarray, "n 3"],
+) -> Iterator[tuple[slice, Bool[np.ndarray, "b n"]]]:
+    """Whether meshes hide each direction from points: a block of points after the other."""
+    casters = [Rays(vertices, faces) for vertices, faces in meshes]
+    count = max(1, _AT_ONCE // len(directions))
     for first in range(0, len(points), count):
         here = points[first : first + count]
-        starts = np.repeat(here, len(above), 0)
-        to = np.tile(above, (len(here), 1))
+        to = np.tile(directions, (len(here), 1))
+        starts = np.repeat(here, len(directions), 0) + _OFFSET * to
         blocked = np.zeros(len(starts), bool)
         for caster in casters:
-            blocked |= caster.blocked(starts + _OFFSET * to, to)
-        found[first : first + count] = ~blocked.reshape(len(here), -1) @ light
-    return found, light.sum(0)
+            blocked |= caster.blocked(starts, to)
+        yield slice(first, first + len(here)), blocked.reshape(len(here), -1)
