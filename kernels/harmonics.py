@@ -165,6 +165,12 @@ def sphere_rule(polar: int, azimuthal: int) -> tuple[np.ndarray, np.ndarray]:
     return rule_of(z, weight, azimuthal)
 
 
+def hemisphere_rule(polar: int, azimuthal: int) -> tuple[np.ndarray, np.ndarray]:
+    """Directions [n, 3] with z > 0 and weights [n] (sum 2 pi), as those of `sphere_rule`."""
+    z, weight = np.polynomial.legendre.leggauss(polar)
+    return rule_of(0.5 * (z + 1.0), 0.5 * weight, azimuthal)
+
+
 def rule_of(z: np.ndarray, weight: np.ndarray, azimuthal: int) -> tuple[np.ndarray, np.ndarray]:
     """Directions [n, 3] and weights [n] of a rule in z times a uniform one in azimuth."""
     azimuth = (np.arange(azimuthal) + 0.5) * (2.0 * np.pi / azimuthal)

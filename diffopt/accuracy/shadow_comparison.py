@@ -20,6 +20,7 @@ from jaxtyping import Float
 from diffopt import checks
 from diffopt.accuracy import output, shadow_scenes
 from diffopt.errors import InputError
+from diffopt.kernels import harmonics
 from diffopt.shadows import animations, fields, lights, parts, sampling, shading, tables
 from diffopt.shadows import truth as ray_cast
 from diffopt.shadows.settings import ShadowSettings
@@ -198,7 +199,7 @@ def _solve(name: str, bands: tuple[int, ...], side: int, polar: int) -> _Solved:
     """Truth and floors from the same rays."""
     vertices, faces, centre, radius = _mesh(name)
     points = shading.plane(8.0, side).reshape(-1, 3)
-    above, weights = ray_cast.directions_above(polar, 2 * polar)
+    above, weights = harmonics.hemisphere_rule(polar, 2 * polar)
     light = shadow_scenes.radiance(above) * above[:, 2] * weights
     weighted = {count: shadow_scenes.cut_light(above, weights, count) for count in bands}
     shadow = np.empty(len(points))

@@ -135,7 +135,7 @@ def solved(name: str, side: int, polar: int, detail: int = 1) -> Truth:
 def floor(name: str, side: int, polar: int, bands: int, detail: int = 1) -> float:
     """RMS error when the true visibility is cut to some bands: the least that is possible."""
     right = solved(name, side, polar, detail)
-    above, weights = truth.directions_above(polar, 2 * polar)
+    above, weights = harmonics.hemisphere_rule(polar, 2 * polar)
     meshes = [(body.vertices, body.faces) for body in bodies(name, detail)]
     factor = cut_light(above, weights, bands)
     found = np.empty(len(right.points))

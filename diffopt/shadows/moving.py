@@ -206,8 +206,7 @@ class _Part:
     """Faces with one sphere and one field, in the object's frame."""
 
     def __init__(self, faces: np.ndarray) -> None:
-        self.used, places = np.unique(faces, return_inverse=True)
-        self.faces = places.reshape(faces.shape)
+        self.used, self.faces = splitting.compact(faces)
         self.field: Field | None = None
         self._shape = np.zeros((0, 3))
         # Shells inside go down to this, in radii: it never rises, so that tables keep their shape

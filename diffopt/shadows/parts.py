@@ -69,18 +69,12 @@ def part_fields(
         How many.
     """
     return [
-        shadow_field(
-            vertices[np.unique(part)],
-            _renumbered(part),
-            settings,
-            receivers=receivers,
-            backend=backend,
-        )
-        for part in split(vertices, faces, parts)
+        shadow_field(vertices[used], own, settings, receivers=receivers, backend=backend)
+        for used, own in map(compact, split(vertices, faces, parts))
     ]
 
 
-def _renumbered(faces: np.ndarray) -> np.ndarray:
-    """Faces that name only vertices in use, from 0."""
-    _, places = np.unique(faces, return_inverse=True)
-    return places.reshape(faces.shape)
+def compact(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices in use, and faces that name only these, from 0."""
+    used, places = np.unique(faces, return_inverse=True)
+    return used, places.reshape(faces.shape)

@@ -10,8 +10,9 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from diffopt.drawing import tones
+from diffopt.kernels import harmonics
 from diffopt.scenes.camera import Camera
-from diffopt.shadows import animations, truth
+from diffopt.shadows import animations
 from diffopt.shadows.lights import SphereLight
 from diffopt.shadows.rays import Rays
 
@@ -122,7 +123,7 @@ def lit(
 ) -> Float[np.ndarray, "2 V 3"]:
     """Irradiance of an object's vertices, on the front and on the back of its faces."""
     normals = vertex_normals(vertices, faces)
-    above, weights = truth.directions_above(_POLAR, _AZIMUTHAL)
+    above, weights = harmonics.hemisphere_rule(_POLAR, _AZIMUTHAL)
     light = animations.sky(above) * weights[:, None]
     total = np.empty((2, len(vertices), 3))
     for k, side in enumerate((1.0, -1.0)):
@@ -222,7 +223,7 @@ def _bilinear(grid: np.ndarray, place: np.ndarray) -> np.ndarray:
 @functools.cache
 def _open_ground() -> np.ndarray:
     """Irradiance of the ground under the sky alone."""
-    above, weights = truth.directions_above(48, 96)
+    above, weights = harmonics.hemisphere_rule(48, 96)
     return (weights * above[:, 2]) @ animations.sky(above)
 
 

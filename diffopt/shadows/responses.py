@@ -94,8 +94,7 @@ def project_brdf(brdf: Any, bands: int, *, steps: int = 33, nodes: int = 48) -> 
     nodes
         Of quadrature over the polar angle of wi; twice as many over the azimuth.
     """
-    z, weight = np.polynomial.legendre.leggauss(nodes)
-    wi, weights = harmonics.rule_of(0.5 * (z + 1.0), 0.5 * weight, 2 * nodes)
+    wi, weights = harmonics.hemisphere_rule(nodes, 2 * nodes)
     cosines = np.linspace(0.0, 1.0, steps)
     cosines[0] = 1e-3
     views = np.stack([np.sqrt(1.0 - cosines**2), np.zeros(steps), cosines], -1)

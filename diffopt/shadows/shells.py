@@ -79,8 +79,7 @@ def outer(ratio: float, rays: int, bands: int, on_sphere: bool) -> Shell:
     on_sphere
         Coefficients on the whole sphere in place of the hemisphere's; for ratio 1.
     """
-    z, weight = np.polynomial.legendre.leggauss(rays)
-    local, weights = harmonics.rule_of(0.5 * (z + 1.0), 0.5 * weight, rays)
+    local, weights = harmonics.hemisphere_rule(rays, rays)
     sine = ratio * np.sqrt(1.0 - local[:, 2] ** 2)
     directions = np.concatenate([ratio * local[:, :2], np.sqrt(1.0 - sine**2)[:, None]], -1)
     starts = np.zeros_like(local)

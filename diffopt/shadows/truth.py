@@ -16,12 +16,6 @@ _AT_ONCE = 2**20
 _OFFSET = 1e-5
 
 
-def directions_above(polar: int, azimuthal: int) -> tuple[np.ndarray, np.ndarray]:
-    """Directions [n, 3] of the upper hemisphere and weights [n], Gauss-Legendre in z."""
-    z, weight = np.polynomial.legendre.leggauss(polar)
-    return harmonics.rule_of(0.5 * (z + 1.0), 0.5 * weight, azimuthal)
-
-
 def irradiance(
     points: Float[np.ndarray, "N 3"],
     meshes: Sequence[tuple[Any, Any]],
@@ -44,7 +38,7 @@ def irradiance(
         Directions to which rays are cast.
     """
     points = np.asarray(points, np.float64).reshape(-1, 3)
-    above, weights = directions_above(polar, azimuthal)
+    above, weights = harmonics.hemisphere_rule(polar, azimuthal)
     light = np.asarray(radiance_function(radiance)(above), np.float64)
     light = (light[:, None] if light.ndim == 1 else light) * (weights * above[:, 2])[:, None]
     found = np.empty((len(points), light.shape[1]))
