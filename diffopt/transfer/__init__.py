@@ -1,0 +1,1 @@
+"""Adaptive precomputed transfer on the surfaces of a scene."""
