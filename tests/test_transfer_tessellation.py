@@ -450,6 +450,7 @@ def test_deepest_level():
         ({"faces": [[0, 1, 2], [0, -1, 2]]}, "received -1 in face 1"),
         ({"faces": [[0.0, 1.0, 2.0]]}, r"faces must be integers \[M, 3\]; received float64"),
         ({"faces": [0, 1, 2]}, r"faces must be integers \[M, 3\]; received int64 \[3\]"),
+        ({"faces": [[0, 1], [0, 1, 2]]}, "faces must be one array; received rows of different"),
         ({"label": [0, 1]}, r"label must be integers \[1\]; received int64 \[2\]"),
         ({"label": [0.5]}, "label must be integers"),
         ({"label": [2**40]}, "label must fit int32"),

@@ -21,7 +21,7 @@ def triples(name: str, value: Values, count: int | None = None) -> Float[np.ndar
     InputError
         If the shape is another, or a component is not finite or above 1e70.
     """
-    array = np.asarray(value)
+    array = _array(name, value)
     if array.size == 0 and not count:
         return np.zeros((0, 3))
     if array.ndim != 2 or array.shape[1] != 3 or (count is not None and len(array) != count):
@@ -66,7 +66,7 @@ def labels(value: Values | None, count: int) -> Int[np.ndarray, " M"]:
     """
     if value is None:
         return np.zeros(count, np.int32)
-    array = np.asarray(value)
+    array = _array("label", value)
     if array.shape != (count,) or (count and array.dtype.kind not in "iu"):
         raise InputError(
             f"label must be integers [{count}]; received {array.dtype} {list(array.shape)}"
@@ -84,7 +84,7 @@ def numbers(name: str, value: Values, count: int) -> Int[np.ndarray, " n"]:
     InputError
         If they are not integers [n] from 0 to `count` - 1.
     """
-    array = np.asarray(value)
+    array = _array(name, value)
     if array.shape == (0,):
         return np.zeros(0, np.int64)
     if array.ndim != 1 or array.dtype.kind not in "iu":
@@ -108,7 +108,7 @@ def usable(vertices: Values, faces: Values) -> Int[np.ndarray, " n"]:
         exist.
     """
     points = triples("vertices", vertices)
-    corners = np.asarray(faces)
+    corners = _array("faces", faces)
     if corners.size == 0:
         return np.zeros(0, np.int64)
     if corners.ndim != 2 or corners.shape[1] != 3 or corners.dtype.kind not in "iu":
@@ -133,3 +133,10 @@ def usable(vertices: Values, faces: Values) -> Int[np.ndarray, " n"]:
     # The sort is stable: the first of equal faces stands before the others.
     good[order[1:][again]] = False
     return np.flatnonzero(good)
+
+
+def _array(name: str, value: Values) -> np.ndarray:
+    try:
+        return np.asarray(value)
+    except ValueError as error:  # rows of different lengths
+        raise InputError(f"{name} must be one array; received rows of different lengths") from error
