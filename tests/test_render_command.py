@@ -165,5 +165,5 @@ def test_examples_are_written_once(tmp_path, capsys, monkeypatch):
     capsys.readouterr()
     assert main(["scene", "example", "cornell"]) == 2
     assert "cornell.toml: is there already; name another file with -o" in capsys.readouterr().err
-    assert main(["scene", "example", "teapot"]) == 2
-    assert "NAME must be one of cornell, balls, disc, lamp" in capsys.readouterr().err
+    assert main(["scene", "example", "bunny"]) == 2
+    assert "NAME must be one of cornell, balls, disc, lamp, teapot" in capsys.readouterr().err

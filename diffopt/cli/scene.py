@@ -51,7 +51,8 @@ def check(
 @app.command("example")
 def example(
     name: Annotated[
-        str, typer.Argument(metavar="NAME", help="cornell, balls, disc or lamp.")
+        str,
+        typer.Argument(metavar="NAME", help="cornell, balls, disc, lamp, teapot, rabbit or knots."),
     ] = "balls",
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="File. [default: NAME.toml]")

@@ -12,17 +12,20 @@
 `raycasting`    what a ray meets
 `meshfiles`     meshes from files and arrays: winding, creases, normals
 `tangents`      directions of the material on a mesh
+`models`        teapot, torus, knot and rabbit; `newell`: the teapot's patches, of
+                `teapot_points`; `blends`: smooth bodies of ellipsoids
 `files`         scenes as TOML files; `tables`: their faults; `toml_lines`: where
 `reading`       objects from tables; `material_tables`, `light_tables`
 `writing`       scenes to files; `material_words`: their materials
 `assets`        textures, maps and materials from files; `origins`: which ones
 `spectra`       colours of lights by illuminant or temperature
 `findings`      what is odd about a scene; `overlaps`: surfaces in one place
-`examples`      scenes to start from
+`examples`      scenes to start from; `glossy_examples`
 ==============  ==================================================================
 """
 
 from diffopt.scenes import meshfiles as meshfiles
+from diffopt.scenes import models as models
 from diffopt.scenes.assets import checkerboard as checkerboard
 from diffopt.scenes.assets import load_environment as load_environment
 from diffopt.scenes.assets import load_lobes as load_lobes

@@ -1,6 +1,7 @@
 """Scenes to start from, as the text of their files."""
 
 from diffopt import checks
+from diffopt.scenes import glossy_examples
 
 _CORNELL = """\
 # The Cornell box, as its authors give it in centimetres (here decimetres), with a mirror ball.
@@ -270,7 +271,15 @@ depth = 10
 """
 
 #: Their texts by name.
-EXAMPLES = {"cornell": _CORNELL, "balls": _BALLS, "disc": _DISC, "lamp": _LAMP}
+EXAMPLES = {
+    "cornell": _CORNELL,
+    "balls": _BALLS,
+    "disc": _DISC,
+    "lamp": _LAMP,
+    "teapot": glossy_examples.TEAPOT,
+    "rabbit": glossy_examples.RABBIT,
+    "knots": glossy_examples.KNOTS,
+}
 
 
 def text(name: str) -> str:

@@ -26,7 +26,8 @@
     [[objects]]
     name = "ball"
     shape = "sphere"              # disc: radius; plane: width, height; box: size; mesh: file
-    radius = 0.5
+    radius = 0.5                  # also teapot, torus, knot, rabbit, with the parameters of
+                                  # `diffopt.scenes.models`
     material = "brass"            # of [materials], a name as "glass", or a table
     translate = [0, 0, 0.5]       # also scale, rotate = [[x, y, z, degrees], ...], facing =
                                   # {origin, target, up}; or matrix = four rows
@@ -153,8 +154,8 @@ def save_scene(
     ----------
     scene, camera
         What is written. Meshes, textures, maps and measured materials are referred to by
-        their files: they must come from `load_mesh`, `load_texture`, `load_environment`,
-        `load_lobes` and `load_material`, or from a scene file.
+        their files: they must come from `load_mesh` (or `models`), `load_texture`,
+        `load_environment`, `load_lobes` and `load_material`, or from a scene file.
     path
         ``.toml``.
     options

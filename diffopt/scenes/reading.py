@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from diffopt.errors import InputError
-from diffopt.scenes import meshfiles, shapes, transforms
+from diffopt.scenes import meshfiles, models, shapes, transforms
 from diffopt.scenes.assets import SPACES, checkerboard, load_texture
 from diffopt.scenes.camera import Camera
 from diffopt.scenes.channels import Channels
@@ -23,6 +23,7 @@ SHAPES: dict[str, tuple[str, ...]] = {
     "plane": ("width", "height"),
     "box": ("size",),
     "mesh": ("file", "crease"),
+    **{name: tuple(keys) for name, keys in models.PARAMETERS.items()},
 }
 #: Keys that place an object.
 PLACE = ("translate", "rotate", "scale", "facing", "matrix")
@@ -36,7 +37,7 @@ _MAKERS = {
 
 
 class Meshes:
-    """Mesh files, each read once."""
+    """Mesh files and models, each read or made once."""
 
     def __init__(self) -> None:
         self._read: dict[Any, meshfiles.Mesh] = {}
@@ -46,6 +47,13 @@ class Meshes:
         key = os.path.abspath(path), crease
         if key not in self._read:
             self._read[key] = meshfiles.load(path, crease_deg=crease)
+        return self._read[key]
+
+    def model(self, name: str, given: dict[str, Any]) -> meshfiles.Mesh:
+        """A mesh made by code."""
+        key = name, *sorted(given.items())
+        if key not in self._read:
+            self._read[key] = models.MODELS[name](**given)
         return self._read[key]
 
 
@@ -209,7 +217,17 @@ def _shape(table: Table, kind: str, meshes: Meshes) -> Any:
     given: dict[str, Any] = {}
     for key in SHAPES[kind]:
         given[key] = table.numbers(key, 3) if key == "size" else table.number(key)
+    whole = [key for key, counts in models.PARAMETERS.get(kind, {}).items() if counts]
+    for key in whole:
+        if given[key] is not None and not given[key].is_integer():
+            table.say(key, f"expected a whole number; received {given[key]:g}")
     if len(table.source.faults) > begun:
+        return None
+    if kind in models.MODELS:
+        counts = {key: int(given[key]) for key in whole if given[key] is not None}
+        found = {k: v for k, v in given.items() if v is not None} | counts
+        with table.source.at(table.where, SHAPES[kind]):
+            return meshes.model(kind, found)
         return None
     with table.source.at(table.where, SHAPES[kind]):
         sides = {k: tuple(v) if isinstance(v, list) else v for k, v in given.items()}

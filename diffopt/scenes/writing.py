@@ -119,11 +119,12 @@ def _shape(shape: shapes.Shape) -> dict[str, Any]:
     known = origin(shape)
     if known is None:
         raise InputError(
-            "its mesh was not read from a file, which scene files refer to: write the mesh and "
-            "take diffopt.scenes.load_mesh(path)"
+            "its mesh was not read from a file, which scene files refer to, nor made by "
+            "diffopt.scenes.models: write the mesh and take diffopt.scenes.load_mesh(path)"
         )
     if known.get("crease") == meshfiles.CREASE_DEG:
         del known["crease"]
+    # A model brings the name of its own shape.
     return {"shape": "mesh", **known}
 
 
