@@ -13,6 +13,7 @@ import pytest
 from hard_cases import LD, rows
 from harmonic_cases import harmonic_rows
 from intersect_cases import intersect_rows
+from lighting_cases import lighting_rows
 from lobe_cases import lobe_rows
 from material_cases import material_rows
 from tabulated_cases import tabulated_rows
@@ -21,6 +22,7 @@ import diffopt.kernels
 
 ROWS = [*rows(), *material_rows(), *tabulated_rows(), *lobe_rows(), *intersect_rows()]
 ROWS += harmonic_rows()
+ROWS += lighting_rows()
 IDS = [f"{r.kernel}-{r.label}".replace(" ", "") for r in ROWS]
 # Differences of the 80-bit twin over at most 1e-8: 1e-11 of rounding; over 1e-9 at cosines of
 # 1.7e-5, 4e-9 of the third derivative.
