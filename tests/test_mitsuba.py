@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from diffopt import fresnel
+from diffopt.accuracy import mitsuba_lobes, mitsuba_scenes
 from diffopt.kernels import fresnel as kernel
-from diffopt.materials import Lambert, Microfacet, RoughDielectric
+from diffopt.materials import BlinnPhong, Lambert, Microfacet, RoughDielectric, Sum
 from reference import directions
 
 mitsuba = pytest.importorskip("mitsuba")
@@ -119,3 +120,41 @@ def test_fresnel_agrees(mi):
     expected = [mi.fresnel_conductor(c, mi.Complex2f(ETA, K)) for c in cosines]
     ours = np.asarray(kernel.conductor(jnp.asarray(cosines, "float32"), ETA, K))
     np.testing.assert_allclose(ours, expected, rtol=2e-4)
+
+
+GLOSSY = {
+    "lobe": BlinnPhong(0.6, 64.0),
+    "plain constant": BlinnPhong(0.6, 16.0, normalised=False),
+    "over matte": Sum([Lambert(0.3), BlinnPhong(0.5, 32.0)]),
+}
+
+
+@pytest.mark.parametrize("case", GLOSSY)
+def test_lobes_that_are_written_for_it_agree(case, mi, rng):
+    """Blinn-Phong, which Mitsuba has not: values, and its samples against its values."""
+    mitsuba_lobes.register(mi)
+    material = GLOSSY[case]
+    described = mitsuba_scenes._lobe(material)
+    wi, wo = directions(rng, PAIRS, 85.0), directions(rng, PAIRS, 85.0)
+    expected = theirs(mi, described, wi, wo)
+    ours = np.asarray(material.f(wi, wo), np.float64)
+    # The power of a half vector rounded to float32.
+    np.testing.assert_allclose(ours, expected, rtol=1e-4, atol=1e-6 * expected.max())
+    bsdf, context = mi.load_dict(described), mi.BSDFContext()
+    at = mi.SurfaceInteraction3f()
+    at.wi = [0.6, 0.0, 0.8]
+    drawn = [
+        bsdf.sample(context, at, float(a), [float(b), float(c)])
+        for a, b, c in rng.uniform(size=(4000, 3))
+    ]
+    weights = np.array([weight[0] for _, weight in drawn])
+    z = (np.arange(400) + 0.5) / 400
+    turn = (np.arange(800) + 0.5) * 2.0 * np.pi / 800
+    z, turn = np.meshgrid(z, turn, indexing="ij")
+    r = np.sqrt(1.0 - z**2)
+    light = np.stack([r * np.cos(turn), r * np.sin(turn), z], -1).reshape(-1, 3)
+    viewer = np.broadcast_to(np.array([0.6, 0.0, 0.8]), light.shape)
+    values = np.asarray(material.f(light.astype("float32"), viewer.astype("float32")))
+    albedo = (values * light[:, 2]).mean() * 2.0 * np.pi
+    # The standard error of 4000 samples, four times.
+    assert abs(weights.mean() - albedo) < 4.0 * weights.std() / np.sqrt(len(weights))

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from scipy.interpolate import BPoly
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from diffopt import InputError
 from diffopt.materials import Lambert
@@ -94,7 +94,7 @@ def trefoil(t, p=2, q=3, radius=1.0, swing=0.4):
 def test_knot_is_everywhere_as_far_from_its_curve_as_its_tube():
     mesh = models.knot()
     t = np.linspace(0.0, 2.0 * math.pi, 40001)
-    away, _ = cKDTree(trefoil(t).T).query(mesh.vertices)
+    away, _ = KDTree(trefoil(t).T).query(mesh.vertices)
     # The points on the curve are some 3e-4 apart: (1.5e-4)^2 / 2 / 0.2 too far at most.
     np.testing.assert_allclose(away, 0.2, atol=1e-6)
     # The volume of a tube is its length times its cross section (Pappus); polygons of 80 corners

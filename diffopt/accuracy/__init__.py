@@ -26,6 +26,7 @@
 `diffraction_benchmarks`  benchmarks of the diffraction methods
 `frame_benchmarks`        benchmark of interactive frames
 `render_throughput`       benchmarks of camera rays and paths
-`mitsuba_scenes`          the same scenes for Mitsuba; `mitsuba_process`: where it runs
+`mitsuba_scenes`          the same scenes for Mitsuba; `mitsuba_process`: where it runs;
+                          `mitsuba_lobes`: Blinn-Phong, which it has not
 ========================  =====================================================
 """

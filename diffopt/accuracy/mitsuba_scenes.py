@@ -9,8 +9,11 @@ from typing import Any
 import numpy as np
 
 from diffopt import fresnel
+from diffopt.accuracy import mitsuba_lobes
 from diffopt.errors import InputError
+from diffopt.kernels import reflectance
 from diffopt.materials import (
+    BlinnPhong,
     Dielectric,
     Lambert,
     Material,
@@ -18,6 +21,7 @@ from diffopt.materials import (
     Mirror,
     RoughDielectric,
     Scaled,
+    Sum,
 )
 from diffopt.scenes import Camera, Environment, Object, Point, Scene, shapes
 
@@ -57,6 +61,7 @@ def describe(scene: Scene, camera: Camera, *, spp: int = 16, depth: int = 32) ->
 
 def load(mi: Any, description: Description) -> Any:
     """Mitsuba's scene of a description; `mi` is its module with a variant set."""
+    mitsuba_lobes.register(mi)
     return mi.load_dict(_loaded(mi, description))
 
 
@@ -117,6 +122,8 @@ def _bsdf(material: Material) -> Description:
             "ext_ior": 1.0,
             "alpha": float(material.alpha[0]),
         }
+    if isinstance(material, BlinnPhong | Sum):
+        return _two(_lobe(material))
     if isinstance(material, Lambert):
         return _two({"type": "diffuse", "reflectance": _rgb(material.colour)})
     factor: Any = 1.0
@@ -136,6 +143,32 @@ def _bsdf(material: Material) -> Description:
             }
         return _two({**kind, "material": "none", "specular_reflectance": colour})
     raise InputError(f"{type(material).__name__}: not given to Mitsuba")
+
+
+def _lobe(material: BlinnPhong | Sum) -> Description:
+    """A lobe of Blinn's alone, or over matte parts."""
+    parts = material.parts if isinstance(material, Sum) else (material,)
+    lobes = [part for part in parts if isinstance(part, BlinnPhong)]
+    matte = [part for part in parts if isinstance(part, Lambert)]
+    if len(lobes) != 1 or len(lobes) + len(matte) != len(parts):
+        names = " + ".join(type(part).__name__ for part in parts)
+        raise InputError(f"{names}: of sums, Lambert + BlinnPhong is given to Mitsuba")
+    lobe = lobes[0]
+    found: Description = {
+        "type": mitsuba_lobes.NAME,
+        "exponent": float(lobe.exponent),
+        "constant": float(reflectance.blinn_phong_constant(lobe.exponent))
+        if lobe.normalised
+        else 1.0,
+    }
+    colours = {
+        "diffuse": sum((np.asarray(part.colour, np.float64) for part in matte), np.zeros(())),
+        "specular": np.asarray(lobe.colour, np.float64),
+    }
+    for name, colour in colours.items():
+        for channel, value in zip("rgb", np.broadcast_to(colour, 3).tolist(), strict=True):
+            found[f"{name}_{channel}"] = value
+    return found
 
 
 def _light(light: Any) -> Description:

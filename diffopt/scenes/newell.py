@@ -83,9 +83,9 @@ def _welded(points: np.ndarray, normals: np.ndarray) -> Int[np.ndarray, " N"]:
     """Labels from 0 of the vertices that points become: one for each place and direction."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
-    pairs = cKDTree(points).query_pairs(_NEAR, output_type="ndarray")
+    pairs = KDTree(points).query_pairs(_NEAR, output_type="ndarray")
     alike = (normals[pairs[:, 0]] * normals[pairs[:, 1]]).sum(-1) > _SMOOTH
     one, other = pairs[alike].T
     graph = coo_matrix((np.ones(len(one)), (one, other)), shape=(len(points),) * 2)
