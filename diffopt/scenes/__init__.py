@@ -13,7 +13,7 @@
 `meshfiles`     meshes from files and arrays: winding, creases, normals
 `tangents`      directions of the material on a mesh
 `models`        teapot, torus, knot and rabbit; `newell`: the teapot's patches, of
-                `teapot_points`; `blends`: smooth bodies of ellipsoids
+                `teapot_points`; `tubes` about curves; `blends`: smooth bodies of ellipsoids
 `files`         scenes as TOML files; `tables`: their faults; `toml_lines`: where
 `reading`       objects from tables; `material_tables`, `light_tables`
 `writing`       scenes to files; `material_words`: their materials

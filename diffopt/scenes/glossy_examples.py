@@ -1,18 +1,18 @@
 """Scenes of glossy bodies that light themselves, as the text of their files."""
 
 TEAPOT = """\
-# The Utah teapot, glossy: handle and spout are seen in its body, under a sky and two panels.
+# The Utah teapot, glossy: its handle is seen in its body, under an even sky and two panels.
 [camera]
-eye = [-3.6, -8.2, 4.6]
-target = [0.05, 0, 1.45]
+eye = [-5.4, -6.4, 4.2]
+target = [-0.1, 0, 1.45]
 resolution = [400, 300]
 field_of_view = 32
 
 [materials.glaze]
 kind = "sum"
 parts = [
-    { kind = "lambert", colour = [0.10, 0.16, 0.24] },
-    { kind = "blinn-phong", colour = [0.72, 0.70, 0.66], exponent = 96 },
+    { kind = "lambert", colour = [0.05, 0.08, 0.12] },
+    { kind = "blinn-phong", colour = [0.72, 0.70, 0.66], exponent = 128 },
 ]
 chances = [0.3, 0.7]
 
@@ -24,7 +24,7 @@ material = "glaze"
 
 [[lights]]
 kind = "environment"
-radiance = [0.30, 0.38, 0.52]
+radiance = [0.45, 0.52, 0.62]
 
 [[lights]]
 kind = "area"

@@ -6,13 +6,11 @@ unit, and an object's transform places it.
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from diffopt.errors import InputError
-from diffopt.scenes import blends, newell
+from diffopt.scenes import blends, newell, tubes
 from diffopt.scenes.meshfiles import Mesh
 from diffopt.scenes.origins import remember
 
@@ -73,10 +71,10 @@ def torus(radius: float = 1.0, tube: float = 0.4, around: int = 64, across: int 
         )
     _within("around", around, 3, _FINEST)
     _within("across", across, 3, _FINEST)
-    turn = _turns(around)
+    turn = tubes.turns(around)
     outwards = np.stack([np.cos(turn), np.sin(turn), np.zeros(around)], -1)
     up = np.broadcast_to([0.0, 0.0, 1.0], outwards.shape)
-    found = _tube(radius * outwards, outwards, up, tube, across)
+    found = tubes.tube(radius * outwards, outwards, up, tube, across)
     known = {"radius": radius, "tube": tube, "around": around, "across": across}
     return remember(found, shape="torus", **known)
 
@@ -124,21 +122,21 @@ def knot(
         raise InputError(f"swing must be below radius; received {swing:g} and {radius:g}")
     _within("around", around, 3, _FINEST)
     _within("across", across, 3, _FINEST)
-    room = _room(*_torus_knot(_turns(_SAMPLES), p, q, radius, swing)[:3])
+    room = tubes.room(*tubes.torus_knot(tubes.turns(_SAMPLES), p, q, radius, swing)[:3])
     if tube >= room:
         raise InputError(
             f"tube must be below {room:.4g}, or the knot meets itself; received {tube:g}"
         )
-    turn = _turns(around * _STEPS)
-    points, ahead, _, out, rate = _torus_knot(turn, p, q, radius, swing)
+    turn = tubes.turns(around * _STEPS)
+    points, ahead, _, out, rate = tubes.torus_knot(turn, p, q, radius, swing)
     side = np.cross(out, ahead)
     side /= np.linalg.norm(side, axis=-1, keepdims=True)
     # The rate is that of turning from `out` to `side`.
-    back = _carried((rate * side).sum(-1))[:, None]
+    back = tubes.carried((rate * side).sum(-1))[:, None]
     first = np.cos(back) * out + np.sin(back) * side
     second = np.cos(back) * side - np.sin(back) * out
     kept = slice(None, None, _STEPS)
-    found = _tube(points[kept], first[kept], second[kept], tube, across)
+    found = tubes.tube(points[kept], first[kept], second[kept], tube, across)
     known = {"p": p, "q": q, "radius": radius, "swing": swing, "tube": tube}
     return remember(found, shape="knot", **known, around=around, across=across)
 
@@ -194,94 +192,3 @@ def _lengths(**values: float) -> None:
     for name, value in values.items():
         if not (math.isfinite(value) and value > 0.0):
             raise InputError(f"{name} must be a length above 0; received {value}")
-
-
-def _turns(count: int) -> Float[np.ndarray, " n"]:
-    """Angles of a full turn, the last before it comes round."""
-    return np.arange(count) * (2.0 * math.pi / count)
-
-
-class _Curve(NamedTuple):
-    points: Float[np.ndarray, "n 3"]
-    slopes: Float[np.ndarray, "n 3"]
-    bends: Float[np.ndarray, "n 3"]
-    outwards: Float[np.ndarray, "n 3"]
-    turning: Float[np.ndarray, "n 3"]
-
-
-def _torus_knot(t: Float[np.ndarray, " n"], p: int, q: int, radius: float, swing: float) -> _Curve:
-    """Points, first and second derivatives; the torus's normal there and its derivative."""
-    zero = np.zeros_like(t)
-    axis = np.stack([np.cos(p * t), np.sin(p * t), zero], -1)
-    side = np.stack([-np.sin(p * t), np.cos(p * t), zero], -1)
-    up = np.array([[0.0, 0.0, 1.0]])
-    c, s = np.cos(q * t)[:, None], np.sin(q * t)[:, None]
-    reach = radius + swing * c
-    outwards = c * axis + s * up
-    turning = q * (c * up - s * axis) + p * c * side
-    bends = -((p * p) * reach + (q * q * swing) * c) * axis
-    bends = bends - (2 * p * q * swing) * s * side - (q * q * swing) * s * up
-    return _Curve(
-        reach * axis + swing * s * up,
-        p * reach * side + (q * swing) * (c * up - s * axis),
-        bends,
-        outwards,
-        turning,
-    )
-
-
-def _room(
-    points: Float[np.ndarray, "n 3"], slopes: Float[np.ndarray, "n 3"], bends: np.ndarray
-) -> float:
-    """Radius at which the tube about a closed curve meets itself.
-
-    The smallest radius of curvature, or half the smallest distance of points that are farther
-    than half a circle of that radius apart along the curve (Litherland, Simon, Durumeric,
-    Rawdon, Thickness of knots, Topology and its Applications 91, 1999).
-    """
-    speed = np.linalg.norm(slopes, axis=-1)
-    curvature = np.linalg.norm(np.cross(slopes, bends), axis=-1) / speed**3
-    bend = 1.0 / float(curvature.max())
-    length = np.cumsum(speed) * (2.0 * math.pi / len(points))
-    along = np.abs(length[:, None] - length[None])
-    along = np.minimum(along, length[-1] - along)
-    squared = (points**2).sum(-1)
-    apart = squared[:, None] + squared[None] - 2.0 * points @ points.T
-    far = apart[along >= math.pi * bend]
-    nearest = math.sqrt(max(float(far.min()), 0.0)) if far.size else math.inf
-    return min(bend, 0.5 * nearest)
-
-
-def _carried(rate: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Angles that undo a periodic rate of turning, a whole number of turns in all.
-
-    The integral of the rate less its mean is periodic, and exact by its Fourier series.
-    """
-    series = np.fft.rfft(rate)
-    times = np.arange(len(series))
-    series = np.where(times > 0, series / (1j * np.maximum(times, 1)), 0.0)
-    swings = np.fft.irfft(series, len(rate))
-    return -(swings - swings[0]) - round(float(rate.mean())) * _turns(len(rate))
-
-
-def _tube(
-    middle: Float[np.ndarray, "n 3"],
-    first: Float[np.ndarray, "n 3"],
-    second: Float[np.ndarray, "n 3"],
-    radius: float,
-    across: int,
-) -> Mesh:
-    """Closed tube about a closed line; the axes across it turn left-handed about its way.
-
-    The normals of a tube of one radius are the directions away from its middle, exactly.
-    """
-    turn = _turns(across)[None, :, None]
-    normals = np.cos(turn) * first[:, None] + np.sin(turn) * second[:, None]
-    vertices = middle[:, None] + radius * normals
-    here = np.arange(len(middle) * across).reshape(len(middle), across)
-    along, about = np.roll(here, -1, axis=0), np.roll(here, -1, axis=1)
-    both = np.roll(along, -1, axis=1)
-    faces = [
-        np.stack(three, -1).reshape(-1, 3) for three in ((here, both, about), (here, along, both))
-    ]
-    return Mesh(vertices.reshape(-1, 3), np.concatenate(faces), normals.reshape(-1, 3))
