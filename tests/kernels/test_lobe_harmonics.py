@@ -70,8 +70,9 @@ def test_they_fall_with_the_degree(dtype):
     """0 <= A_(l+1) <= A_l <= 1, and they grow with kappa, up to rounding."""
     found = np.asarray(ratios(jnp.asarray(np.logspace(-6, 8, 300), dtype), 64), np.float64)
     assert (found >= 0).all()
-    assert (found <= 1 + 4 * EPS[dtype]).all()
-    assert (np.diff(found, axis=0) <= 4 * EPS[dtype]).all()
+    # Rounding adds up over 64 factors.
+    assert (found <= 1 + 32 * EPS[dtype]).all()
+    assert (np.diff(found, axis=0) <= 32 * EPS[dtype]).all()
     assert (np.diff(found, axis=1) >= -64 * EPS[dtype]).all()
 
 
