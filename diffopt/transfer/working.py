@@ -1,0 +1,248 @@
+"""Batches of a precomputation that is running, kept so that a second run goes on from them.
+
+A run is deterministic: batches are kept by their number, and a run that finds them replays
+itself. They lie in the folder ``working`` of the store, one file each, written aside and renamed,
+beside a record of the scene and settings that they belong to and the lock of the process at work.
+"""
+
+import contextlib
+import dataclasses
+import hashlib
+import json
+import os
+import re
+import shutil
+import threading
+import time
+import uuid
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import jax
+import numpy as np
+
+from diffopt import __version__
+from diffopt.errors import InputError
+from diffopt.io.files import replacing
+from diffopt.scenes.scene import Scene
+from diffopt.transfer.angular import Vertices
+from diffopt.transfer.locking import Lock
+from diffopt.transfer.reflectors import reflectors
+from diffopt.transfer.settings import TransferSettings
+from diffopt.transfer.slices import Slices
+from diffopt.transfer.views import hemisphere
+
+FOLDER = "working"
+_ARRAYS = ("alpha", "mu", "kappa")
+
+
+def identity(
+    scene: Scene,
+    settings: TransferSettings,
+    *,
+    backend: str = "embree",
+    uniform: int | None = None,
+) -> dict[str, Any]:
+    """What the result of a precomputation depends on: settings by name, the rest as digests."""
+    world = scene.geometry.world
+    shapes = hashlib.sha256()
+    for array in (*jax.tree.leaves(world), scene.geometry.owner):
+        _add(shapes, array)
+    found, number = reflectors(scene)
+    materials = hashlib.sha256()
+    # Static fields are in the text of the structure, functions with an address.
+    materials.update(re.sub(r" at 0x[0-9a-f]+", "", str(jax.tree.structure(found))).encode())
+    for array in (*jax.tree.leaves(found), number):
+        _add(materials, array)
+    return {
+        "shapes": shapes.hexdigest(),
+        "materials": materials.hexdigest(),
+        "settings": dataclasses.asdict(settings) | {"backend": backend, "uniform": uniform},
+        "diffopt": __version__,
+    }
+
+
+def _add(digest: Any, array: Any) -> None:
+    values = np.ascontiguousarray(array)
+    digest.update(f"{values.dtype} {values.shape}".encode())
+    digest.update(values.tobytes())
+
+
+def differences(there: dict[str, Any], here: dict[str, Any]) -> str:
+    """How one identity differs from another, in words; empty if it does not."""
+    out = [f"other {name}" for name in ("shapes", "materials") if there.get(name) != here[name]]
+    old, new = there.get("settings") or {}, here["settings"]
+    for name in sorted({*old, *new}):
+        if old.get(name) != new.get(name):
+            out.append(f"{name} {old.get(name)} there, {new.get(name)} here")
+    if there.get("diffopt") != here["diffopt"]:
+        out.append(f"diffopt {there.get('diffopt')} there, {here['diffopt']} here")
+    return "; ".join(out)
+
+
+class Working:
+    """Batches of one precomputation; a context that holds the lock, and gives it back.
+
+    For ``precompute(scene, settings, batches=...)``; safe for its threads.
+
+    Parameters
+    ----------
+    path
+        Folder of the store, which exists.
+    scene, settings, backend, uniform
+        As given to `precompute`.
+    afresh
+        Throw away batches of another scene or other settings instead of refusing them.
+
+    Raises
+    ------
+    InputError
+        If the batches there belong to another scene or other settings, with what differs, or
+        another process is at work.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike,
+        scene: Scene,
+        settings: TransferSettings,
+        *,
+        backend: str = "embree",
+        uniform: int | None = None,
+        afresh: bool = False,
+    ) -> None:
+        self.path = Path(path)
+        self.folder = self.path / FOLDER
+        self.settings = settings
+        self.identity = identity(scene, settings, backend=backend, uniform=uniform)
+        self._guard = threading.Lock()
+        self._session = uuid.uuid4().hex
+        self._earlier: dict[str, tuple[float, float]] = {}
+        self.folder.mkdir(exist_ok=True)
+        self._lock = Lock(self.folder / "lock", self.path)
+        try:
+            self._begin(afresh)
+        except BaseException:
+            self.close()
+            raise
+        self._clock, self._cpu = time.perf_counter(), time.process_time()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    @property
+    def kept(self) -> int:
+        """Batches that are there."""
+        return sum(1 for _ in self.folder.glob("[0-9]*.npz"))
+
+    @property
+    def spent(self) -> tuple[float, float]:
+        """Seconds by the clock and of all cores, with those of earlier runs as far as loaded."""
+        own = self._own()
+        with self._guard:
+            every = [*self._earlier.values(), own]
+        return sum(clock for clock, _ in every), sum(cpu for _, cpu in every)
+
+    def load(self, number: int) -> Vertices | None:
+        """A batch that was kept, or None; damaged ones count as none."""
+        path = self._file(number)
+        try:
+            # The checksums of the zip archive are tested on the way.
+            with np.load(path, allow_pickle=False) as file:
+                views, diffuse = (
+                    Slices(*(file[f"{part}_{name}"] for name in _ARRAYS))
+                    for part in ("views", "diffuse")
+                )
+                batch = Vertices(file["level"], views, diffuse, file["error"])
+                session, clock, cpu = str(file["session"]), float(file["clock"]), float(file["cpu"])
+        except FileNotFoundError:
+            return None
+        except Exception:  # a damaged archive fails in many ways
+            return None
+        if not self._sound(batch):
+            return None
+        with self._guard:
+            before = self._earlier.get(session, (0.0, 0.0))
+            if session != self._session:
+                self._earlier[session] = (max(before[0], clock), max(before[1], cpu))
+        return batch
+
+    def save(self, number: int, batch: Vertices) -> None:
+        """Keep a batch."""
+        clock, cpu = self._own()
+        arrays = {
+            f"{part}_{name}": values
+            for part, found in (("views", batch.views), ("diffuse", batch.diffuse))
+            for name, values in zip(_ARRAYS, found, strict=True)
+        }
+        with replacing(self._file(number)) as file:
+            np.savez(
+                file,
+                level=batch.level,
+                error=batch.error,
+                session=np.array(self._session),
+                clock=clock,
+                cpu=cpu,
+                **arrays,
+            )
+
+    def close(self) -> None:
+        """Give the lock back; batches stay."""
+        self._lock.release()
+
+    def discard(self) -> None:
+        """Remove all batches, and give the lock back."""
+        # The record last, but for the lock: batches without one are never trusted.
+        for path in [*self.folder.glob("*.npz"), self.folder / "record.json"]:
+            path.unlink(missing_ok=True)
+        self.close()
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def _own(self) -> tuple[float, float]:
+        return time.perf_counter() - self._clock, time.process_time() - self._cpu
+
+    def _file(self, number: int) -> Path:
+        return self.folder / f"{number:07d}.npz"
+
+    def _begin(self, afresh: bool) -> None:
+        for path in self.folder.glob(".*.npz.*"):  # of a run that was killed in writing
+            path.unlink(missing_ok=True)
+        record = self.folder / "record.json"
+        old: dict[str, Any] | None = None
+        with contextlib.suppress(OSError, ValueError):
+            old = json.loads(record.read_text())
+        if isinstance(old, dict):
+            different = differences(old, self.identity)
+            if not different:
+                return
+            if not afresh and self.kept:
+                raise InputError(
+                    f"{self.path}: begun with another scene or other settings: {different}"
+                )
+        for path in self.folder.glob("*.npz"):
+            path.unlink()
+        with replacing(record) as file:
+            file.write(json.dumps(self.identity, indent=2).encode())
+
+    def _sound(self, batch: Vertices) -> bool:
+        """Whether shapes are what they must be."""
+        counts = np.array((*hemisphere(self.settings.finest).counts, 0))
+        level = batch.level
+        if level.ndim != 1 or level.min(initial=0) < -1 or level.max(initial=0) >= len(counts) - 1:
+            return False
+        lobes = (3, self.settings.lobes)
+        for found, rows in ((batch.views, int(counts[level].sum())), (batch.diffuse, len(level))):
+            channels = found.alpha.shape[-1:]
+            shapes = ((rows, *lobes, *channels), (rows, *lobes, 3), (rows, *lobes))
+            if tuple(a.shape for a in found) != shapes:
+                return False
+        return batch.error.shape == level.shape
