@@ -1,0 +1,395 @@
+"""Adaptive precomputation of transfer: vertices, their slices, and where more are needed."""
+
+import dataclasses
+import functools
+import time
+from collections.abc import Callable, Iterator
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from diffopt import workers
+from diffopt.errors import InputError
+from diffopt.scenes import raycasting
+from diffopt.scenes.scene import Scene
+from diffopt.transfer import references, spatial, tessellation
+from diffopt.transfer.angular import Estimator, Vertices
+from diffopt.transfer.reflectors import reflectors
+from diffopt.transfer.settings import TransferSettings
+from diffopt.transfer.slices import Slices
+from diffopt.transfer.spatial import Known
+from diffopt.transfer.tessellation import Tessellation
+from diffopt.transfer.tracing import Frames, Surroundings
+from diffopt.transfer.views import hemisphere
+
+
+class Batches(Protocol):
+    """Where finished batches of vertices are kept."""
+
+    def load(self, number: int) -> Vertices | None:
+        """A batch that was kept, or None."""
+        ...
+
+    def save(self, number: int, batch: Vertices) -> None:
+        """Keep a batch."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class Round:
+    """A step of refinement.
+
+    Attributes
+    ----------
+    vertices
+        After it.
+    faces
+        Leaves after it.
+    waiting
+        Faces whose corners differ by more than the tolerance, when it began; 0 for the first.
+    seconds
+        It took.
+    """
+
+    vertices: int
+    faces: int
+    waiting: int
+    seconds: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Progress:
+    """How far a precomputation is: rounds begun, vertices done, vertices known to be needed."""
+
+    round: int
+    done: int
+    known: int
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Transfer:
+    """Precomputed transfer of a scene.
+
+    Attributes
+    ----------
+    mesh
+        With all that was split.
+    axes
+        Local frames of the vertices as rows (tangent, across, normal), [V, 3, 3].
+    reflector
+        Number of the material of each vertex, [V].
+    level
+        Of the views of each vertex, -1 where the material is matte, [V].
+    first
+        Row of the first view of each vertex, [V].
+    views
+        Slices of all views of all vertices over those of the unoccluded material, see
+        `diffopt.transfer.references`, [S, 3, K, ...].
+    diffuse
+        Slices of the view-independent share, in the local frames, [V, 3, K, ...].
+    unoccluded
+        Unoccluded lobes of the materials over views, as `diffopt.transfer.references.pack` has
+        them, [materials, V', K (4 + C)].
+    error
+        How far the last level of views computed was from its prediction, [V].
+    settings
+        Used.
+    rounds
+        Of refinement.
+    """
+
+    mesh: Tessellation
+    axes: Float[np.ndarray, "V 3 3"]
+    reflector: Int[np.ndarray, " V"]
+    level: Int[np.ndarray, " V"]
+    first: Int[np.ndarray, " V"]
+    views: Slices
+    diffuse: Slices
+    unoccluded: Float[np.ndarray, "m v F"]
+    error: Float[np.ndarray, " V"]
+    settings: TransferSettings
+    rounds: tuple[Round, ...]
+
+    @property
+    def lobes(self) -> int:
+        """Lobes of each kind of path, K."""
+        return self.diffuse.kappa.shape[-1]
+
+    @property
+    def channels(self) -> int:
+        """Channels, C: 1 for a grey scene."""
+        return self.diffuse.alpha.shape[-1]
+
+    @functools.cached_property
+    def triangles(self) -> Int[np.ndarray, "G 3"]:
+        """Triangles without T-vertices, to be drawn."""
+        return tessellation.closed(self.mesh)[0]
+
+    @property
+    def slices(self) -> int:
+        """Number of slices, view-independent ones too."""
+        return len(self.views.kappa) + len(self.diffuse.kappa)
+
+
+def surroundings(scene: Scene, backend: str = "embree") -> Surroundings:
+    """A scene as transfer sees it."""
+    if not scene.objects:
+        raise InputError("the scene has no objects")
+    geometry = scene.geometry
+    found, number = reflectors(scene)
+    return Surroundings(raycasting.caster(geometry, backend), found, number[geometry.owner])
+
+
+def begun(around: Surroundings) -> Tessellation:
+    """The triangles of a scene, labelled by their reflectors."""
+    shapes = around.caster.geometry.world
+    triangles, spheres, discs = shapes.counts
+    if spheres + discs:
+        raise InputError(
+            f"transfer takes triangles; the scene has {spheres} spheres and {discs} discs: use "
+            "meshes in their place, as diffopt.scenes.models makes them"
+        )
+    return tessellation.begin(
+        np.asarray(shapes.vertices),
+        np.asarray(shapes.normals),
+        np.asarray(shapes.tangents),
+        np.asarray(shapes.faces),
+        around.owner[:triangles],
+    )
+
+
+def frames(mesh: Tessellation) -> Float[np.ndarray, "V 3 3"]:
+    """Local frames of vertices: tangents square to the normals, any where there are none."""
+    normal = mesh.normals
+    flat = mesh.tangents - (mesh.tangents * normal).sum(-1, keepdims=True) * normal
+    length = np.linalg.norm(flat, axis=-1, keepdims=True)
+    weak = length < 1e-3 * np.maximum(np.linalg.norm(mesh.tangents, axis=-1, keepdims=True), 1e-30)
+    least = np.eye(3)[np.argmin(np.abs(normal), -1)]
+    other = np.cross(normal, least)
+    other /= np.linalg.norm(other, axis=-1, keepdims=True)
+    tangent = np.where(weak, other, flat / np.where(weak, 1.0, length))
+    return np.stack([tangent, np.cross(normal, tangent), normal], 1)
+
+
+def precompute(
+    scene: Scene,
+    settings: TransferSettings | None = None,
+    *,
+    backend: str = "embree",
+    batches: Batches | None = None,
+    report: Callable[[Progress], None] | None = None,
+    threads: int | None = None,
+    uniform: int | None = None,
+) -> Transfer:
+    """Precompute the transfer of a scene, adaptively.
+
+    The same scene and settings give the same result, also when batches of an interrupted run
+    are at hand.
+
+    Parameters
+    ----------
+    scene
+        Meshes, boxes and planes of matte and glossy materials; its lights play no part. The
+        front of surfaces is computed, as normals have it.
+    settings
+        By default those of `TransferSettings`.
+    backend
+        Of the rays: "embree", or "jax" for any device.
+    batches
+        Keeps what is finished, see `diffopt.transfer.store`.
+    report
+        Called after every batch.
+    threads
+        Batches in work at a time; as many as pay by default.
+    uniform
+        Split all triangles this often instead of adaptively, for comparison.
+
+    Raises
+    ------
+    InputError
+        For scenes that transfer does not hold; names the object.
+    """
+    settings = settings or TransferSettings()
+    return _Run(scene, settings, backend, batches, report, threads).whole(uniform)
+
+
+class _Run:
+    """One precomputation: what it has so far."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        settings: TransferSettings,
+        backend: str,
+        batches: Batches | None,
+        report: Callable[[Progress], None] | None,
+        threads: int | None,
+    ) -> None:
+        self.settings, self.batches, self.report = settings, batches, report
+        self.around = surroundings(scene, backend)
+        self.mesh = begun(self.around)
+        if not len(self.mesh.faces):
+            raise InputError("the scene has no triangle with an area")
+        self.threads = threads or workers.count()
+        self.estimators: dict[int, Estimator] = {}
+        self.found: list[tuple[np.ndarray, Vertices]] = []
+        self.number = 0
+        self.rounds: list[Round] = []
+        self.reflector = np.zeros(0, np.int32)
+        self.axes = np.zeros((0, 3, 3))
+
+    def whole(self, uniform: int | None) -> Transfer:
+        if uniform is not None:
+            self.mesh = tessellation.uniform(self.mesh, uniform)
+        self._round(0)
+        apart: dict[int, float] = {}
+        while uniform is None:
+            chosen, waiting = self._chosen(apart)
+            if not len(chosen):
+                break
+            self.mesh = tessellation.split(self.mesh, chosen)
+            self._round(waiting)
+        return self._result()
+
+    def _estimator(self, number: int) -> Estimator:
+        if number not in self.estimators:
+            self.estimators[number] = Estimator(self.around, number, self.settings)
+        return self.estimators[number]
+
+    def _round(self, waiting: int) -> None:
+        """Slices of all vertices that have none yet."""
+        began = time.perf_counter()
+        mesh, old = self.mesh, len(self.axes)
+        self.axes = frames(mesh)
+        label = np.zeros(len(mesh.vertices), np.int32)
+        label[mesh.faces.reshape(-1)] = np.repeat(mesh.label, 3)
+        self.reflector = label
+        new = np.arange(old, len(label))
+        parts = []
+        for number in np.unique(label[new]):
+            mine = new[label[new] == number]
+            step = self.settings.chunk
+            parts += [mine[k : k + step] for k in range(0, len(mine), step)]
+        done = old
+        for rows, batch in zip(parts, self._computed(parts), strict=True):
+            self.found.append((rows, batch))
+            done += len(rows)
+            if self.report is not None:
+                self.report(Progress(len(self.rounds), done, len(label)))
+        seconds = time.perf_counter() - began
+        leaves = tessellation.leaves(mesh)
+        self.rounds.append(Round(len(label), len(leaves), waiting, seconds))
+
+    def _computed(self, parts: list[np.ndarray]) -> Iterator[Vertices]:
+        first = self.number
+        self.number += len(parts)
+        for rows in parts:  # made here: their tables are not made twice by threads
+            self._estimator(int(self.reflector[rows[0]]))
+
+        def one(k: int) -> Vertices:
+            kept = None if self.batches is None else self.batches.load(first + k)
+            rows = parts[k]
+            if kept is not None and len(kept.level) == len(rows):
+                return kept
+            at = Frames(self.mesh.vertices[rows], self.axes[rows])
+            batch = self._estimator(int(self.reflector[rows[0]]))(at)
+            if self.batches is not None:
+                self.batches.save(first + k, batch)
+            return batch
+
+        return workers.ahead(one, range(len(parts)), self.threads)
+
+    def _known(self) -> Known:
+        count = len(self.axes)
+        level = np.zeros(count, np.int32)
+        size = np.zeros(count, np.int64)
+        for rows, batch in self.found:
+            level[rows] = batch.level
+        counts = np.array((*hemisphere(self.settings.finest).counts, 0))
+        size = counts[level]
+        first = np.zeros(count, np.int64)
+        at = 0
+        for rows, batch in self.found:
+            own = size[rows]
+            first[rows] = at + np.cumsum(own) - own
+            at += int(own.sum())
+        views = Slices(*(np.concatenate(a) for a in zip(*(b.views for _, b in self.found), strict=True)))
+        order = np.argsort(np.concatenate([rows for rows, _ in self.found]), kind="stable")
+        matte = zip(*(b.diffuse for _, b in self.found), strict=True)
+        diffuse = Slices(*(np.concatenate(a)[order] for a in matte))
+        return Known(level, first, views, diffuse, self.axes)
+
+    def _chosen(self, apart: dict[int, float]) -> tuple[np.ndarray, int]:
+        """Leaves to split next, the worst ones, and how many wait."""
+        mesh, settings = self.mesh, self.settings
+        leaves = tessellation.leaves(mesh)
+        open_ = leaves[mesh.level[leaves] < settings.splits]
+        if settings.least_area > 0.0:
+            area = tessellation.areas(mesh, open_)
+            whole = tessellation.areas(mesh, np.flatnonzero(mesh.level == 0)).sum()
+            open_ = open_[area > settings.least_area * whole]
+        if not len(open_) or len(mesh.vertices) >= settings.most_vertices:
+            return open_[:0], 0
+        edges, sides = tessellation.pairs(mesh, open_)
+        count = len(mesh.vertices)
+        # Numbers of pairs that no later vertex changes.
+        keys = edges[:, 1].astype(np.int64) * 2**31 + edges[:, 0]
+        fresh = np.array([key not in apart for key in keys.tolist()], bool)
+        if fresh.any():
+            found = self._differences(self._known(), edges[fresh])
+            apart.update(zip(keys[fresh].tolist(), found.tolist(), strict=True))
+        values = np.array([apart[key] for key in keys.tolist()])
+        error = values[sides].max(-1) * np.sqrt(self._share(open_))
+        over = np.flatnonzero(error > settings.tolerance)
+        # A split brings two vertices, about: no more than are allowed.
+        most = min(settings.round_faces, max(1, (settings.most_vertices - count) // 2))
+        worst = over[np.argsort(-error[over], kind="stable")][:most]
+        return open_[worst], len(over)
+
+    def _share(self, faces: np.ndarray) -> np.ndarray:
+        """Area of faces over that of the mean initial face, at most 1.
+
+        The squared error of a picture is a sum over areas: a difference is worth a split where
+        it is wide. Without it the edges of all reflections would be followed to the finest
+        triangles.
+        """
+        mesh = self.mesh
+        area = tessellation.areas(mesh, faces)
+        initial = tessellation.areas(mesh, np.flatnonzero(mesh.level == 0))
+        return np.minimum(area / initial.mean(), 1.0)
+
+    def _differences(self, known: Known, pairs: np.ndarray) -> np.ndarray:
+        out = np.zeros(len(pairs))
+        number = self.reflector[pairs[:, 0]]
+        over = references.reference(self._references(), self.settings.lobes, references.LEVEL)
+        for k in np.unique(number):
+            rows = np.flatnonzero(number == k)
+            made = self._estimator(int(k))
+            scale, matte = made.scales(self.settings.compared)
+            out[rows] = spatial.differences(
+                known, over, int(k), pairs[rows], scale, matte, self.settings.compared
+            )
+        return out
+
+    def _references(self) -> list[np.ndarray]:
+        return [self._estimator(k).reference for k in range(len(self.around.reflectors))]
+
+    def _result(self) -> Transfer:
+        known = self._known()
+        error = np.zeros(len(known.level))
+        for rows, batch in self.found:
+            error[rows] = batch.error
+        return Transfer(
+            mesh=self.mesh,
+            axes=self.axes,
+            reflector=self.reflector,
+            level=known.level,
+            first=known.first,
+            views=known.views,
+            diffuse=known.diffuse,
+            unoccluded=np.stack(self._references()).astype(np.float32),
+            error=error,
+            settings=self.settings,
+            rounds=tuple(self.rounds),
+        )

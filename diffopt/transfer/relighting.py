@@ -1,0 +1,445 @@
+"""Precomputed transfer under light: radiance of vertices and of pictures, in one jitted function.
+
+Slices between the views are interpolated at the vertices of what a camera sees, in their local
+frames; between the vertices lobes are interpolated in the world, at every pixel, or radiance
+itself is (the glossy-transfer paper, section 6.2). The light may be anything with
+``radiance(mu, kappa)``, see `diffopt.transfer.lighting`.
+
+Differentiable in the light and in the lobes.
+"""
+
+import functools
+from typing import Any, NamedTuple, Protocol
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from diffopt.kernels import frames
+from diffopt.kernels.frames import dot
+from diffopt.scenes.camera import Camera
+from diffopt.transfer import references, slices
+from diffopt.transfer.precompute import Transfer
+from diffopt.transfer.references import Reference
+from diffopt.transfer.slices import Slices
+from diffopt.transfer.views import Locator, locator
+
+# Pixels whose lobes are held at a time.
+_PIXELS = 2**13
+
+
+class Lighting(Protocol):
+    """Light from infinity averaged over lobes."""
+
+    def radiance(self, mu: Any, kappa: Any) -> Any:
+        """Radiance for lobes about mu [..., 3] of concentrations kappa [...], [..., C]."""
+        ...
+
+
+class Tables(eqx.Module):
+    """Transfer on the device.
+
+    Attributes
+    ----------
+    position, axes
+        Of vertices: [V, 3]; local frames as rows, [V, 3, 3].
+    level, first
+        Level of the views, -1 for none, and row of the first view, [V].
+    material
+        Of each vertex, [V].
+    over
+        Unoccluded lobes of the materials.
+    views
+        Slices over the unoccluded ones, a row for each: of every kind and lobe the axis (3), the
+        logarithm of the concentration, and the weights (C), [S, 3 K (4 + C)].
+    diffuse
+        View-independent slices in the world, in rows as `views`, [V, 3 K (4 + C)].
+    find
+        Triangles of views around directions.
+    lobes
+        Of all kinds together, 3 K.
+    glossy, matte
+        Whether any vertex has views, and any a view-independent share.
+    """
+
+    position: Float[Array, "V 3"]
+    axes: Float[Array, "V 3 3"]
+    level: Int[Array, " V"]
+    first: Int[Array, " V"]
+    material: Int[Array, " V"]
+    over: Reference
+    views: Float[Array, "S F"]
+    diffuse: Float[Array, "V F"]
+    find: Locator
+    lobes: int = eqx.field(static=True)
+    glossy: bool = eqx.field(static=True)
+    matte: bool = eqx.field(static=True)
+
+
+def tables(transfer: Transfer, dtype: Any = np.float32) -> Tables:
+    """Transfer as arrays for relighting.
+
+    Parameters
+    ----------
+    transfer
+        Precomputed.
+    dtype
+        Of the slices: float32, or float16 for half the memory at 0.05 % error.
+    """
+    packed = _packed(transfer.views)
+    if not len(packed):
+        packed = np.zeros((1, packed.shape[1]))
+    axes = transfer.axes.astype(np.float32)
+    local = transfer.diffuse
+    world = np.einsum("vkjm,vmi->vkji", local.mu, axes)
+    return Tables(
+        jnp.asarray(transfer.mesh.vertices, jnp.float32),
+        jnp.asarray(axes),
+        jnp.asarray(transfer.level, jnp.int32),
+        jnp.asarray(transfer.first, jnp.int32),
+        jnp.asarray(transfer.reflector, jnp.int32),
+        references.reference(list(transfer.unoccluded), transfer.lobes, references.LEVEL),
+        jnp.asarray(packed, dtype),
+        jnp.asarray(_packed(local._replace(mu=world)), jnp.float32),
+        locator(max(int(transfer.level.max()), 0)),
+        3 * transfer.lobes,
+        bool((transfer.level >= 0).any()),
+        bool(local.alpha.any()),
+    )
+
+
+def _packed(found: Slices) -> np.ndarray:
+    log = np.log(np.maximum(found.kappa, 1e-6))[..., None]
+    return np.concatenate([found.mu, log, found.alpha], -1).reshape(len(found.kappa), -1)
+
+
+class Seen(NamedTuple):
+    """What a camera sees of a mesh.
+
+    Attributes
+    ----------
+    vertices
+        That are needed, padded with the last one, [n].
+    covered
+        Samples that see the front of a surface, padded with one beyond the last, [P].
+    corners
+        Places among `vertices` of the corners of their triangles, [P, 3].
+    shares
+        Of the corners, [P, 3].
+    towards
+        Direction of the ray of every sample, [h w samples^2, 3].
+    eye
+        [3].
+    shape
+        Rows and columns of the picture.
+    samples
+        On a side of each pixel.
+    """
+
+    vertices: Int[np.ndarray, " n"]
+    covered: Int[np.ndarray, " P"]
+    corners: Int[np.ndarray, "P 3"]
+    shares: Float[np.ndarray, "P 3"]
+    towards: Float[np.ndarray, "S 3"]
+    eye: Float[np.ndarray, "3"]
+    shape: tuple[int, int]
+    samples: int
+
+
+class Raster:
+    """Finds what cameras see of a mesh.
+
+    Parameters
+    ----------
+    vertices
+        [V, 3].
+    triangles
+        [G, 3].
+    """
+
+    def __init__(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+
+        self.triangles = triangles
+        low, high = vertices.min(0), vertices.max(0)
+        self.centre, self.radius = 0.5 * (low + high), float(np.linalg.norm(high - low)) / 2 or 1.0
+        corners = ((vertices - self.centre) / self.radius)[triangles].astype(np.float32)
+        edges = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        self.normal = np.cross(*edges)
+        self.scene = EmbreeScene(robust=True)
+        TriangleMesh(self.scene, corners)
+
+    def __call__(self, camera: Camera, samples: int = 1) -> Seen:
+        """What a camera sees, with samples on a side of each pixel."""
+        rows, columns = camera.shape
+        places = (np.arange(samples) + 0.5) / samples
+        inside = np.stack(np.meshgrid(places, places), -1).reshape(-1, 2)
+        pixel = np.repeat(np.arange(rows * columns), len(inside))
+        origin, towards = camera.rays(pixel, np.tile(inside, (rows * columns, 1)))
+        near = ((origin - self.centre) / self.radius).astype(np.float32)
+        along = towards.astype(np.float32)
+        found = self.scene.run(near, along, output=1)
+        which = found["primID"]
+        front = (self.normal[np.maximum(which, 0)] * along).sum(-1) < 0.0
+        covered = np.flatnonzero((which >= 0) & front)
+        met = self.triangles[which[covered]]
+        used = np.zeros(int(self.triangles.max()) + 1, bool)
+        used[met] = True
+        vertices = np.flatnonzero(used).astype(np.int32)
+        place = np.cumsum(used, dtype=np.int32) - 1
+        u, v = found["u"][covered], found["v"][covered]
+        shares = np.stack([1.0 - u - v, u, v], -1).astype(np.float32)
+        size = _bucket(len(covered))
+        return Seen(
+            _filled(vertices, _bucket(len(vertices)), 0),
+            _filled(covered.astype(np.int32), size, len(pixel)),
+            _filled(place[met], size, 0),
+            _filled(shares, size, np.float32(1.0 / 3.0)),
+            along,
+            np.asarray(camera.eye, np.float32),
+            (rows, columns),
+            samples,
+        )
+
+
+def _bucket(count: int) -> int:
+    """Sizes that programs are compiled for: powers of two and three quarters of them."""
+    size = 1024
+    while size < count:
+        size *= 2
+    return 3 * size // 4 if 3 * size // 4 >= max(count, 1024) else size
+
+
+def _filled(rows: np.ndarray, size: int, value: Any) -> np.ndarray:
+    more = np.full((size - len(rows), *rows.shape[1:]), value, rows.dtype)
+    return np.concatenate([rows, more])
+
+
+class _Fields(NamedTuple):
+    """Lobes as one array [n] for each number of each lobe: what processors take in vectors."""
+
+    alpha: list[list[Array]]
+    mu: list[tuple[Array, Array, Array]]
+    log_kappa: list[Array]
+
+
+def _fields(rows: Float[Array, "n F"], lobes: int) -> _Fields:
+    """Fields of rows of a table of `lobes` lobes."""
+    columns = rows.T.reshape(lobes, -1, rows.shape[0])
+    return _Fields(
+        [list(lobe[4:]) for lobe in columns],
+        [(lobe[0], lobe[1], lobe[2]) for lobe in columns],
+        [lobe[3] for lobe in columns],
+    )
+
+
+def _between(shares: list[Array], parts: list[_Fields]) -> _Fields:
+    """As `diffopt.transfer.slices.between`."""
+    alphas, axes, logs = [], [], []
+    for k in range(len(parts[0].mu)):
+        alpha = [sum(s * p.alpha[k][c] for s, p in zip(shares, parts, strict=True))
+                 for c in range(len(parts[0].alpha[k]))]
+        weights = slices.shares_by_light([sum(p.alpha[k]) for p in parts], shares)
+        mu = [sum(w * p.mu[k][i] for w, p in zip(weights, parts, strict=True)) for i in range(3)]
+        axes.append(_normalised(mu, parts[0].mu[k]))
+        logs.append(sum(w * p.log_kappa[k] for w, p in zip(weights, parts, strict=True)))
+        alphas.append(alpha)
+    return _Fields(alphas, axes, logs)
+
+
+def _normalised(mu: list[Array], otherwise: tuple[Array, ...]) -> tuple[Array, Array, Array]:
+    square = mu[0] * mu[0] + mu[1] * mu[1] + mu[2] * mu[2]
+    far = square > 1e-12
+    scale = 1.0 / jnp.sqrt(jnp.where(far, square, 1.0))
+    x, y, z = (jnp.where(far, a * scale, b) for a, b in zip(mu, otherwise, strict=True))
+    return x, y, z
+
+
+def _lit(found: _Fields, light: Lighting) -> Float[Array, "n C"]:
+    """Radiance of lobes under light."""
+    # All lobes in one look-up: the program is smaller, and no slower.
+    mu = frames.direction(*(jnp.stack([axis[i] for axis in found.mu]) for i in range(3)))
+    value = light.radiance(mu, jnp.exp(jnp.stack(found.log_kappa)))
+    channels = value.shape[-1]
+    total = []
+    for c in range(channels):
+        own = [found.alpha[k][min(c, len(found.alpha[k]) - 1)] for k in range(len(found.mu))]
+        total.append(sum(a * value[k, :, c] for k, a in enumerate(own)))
+    return jnp.stack(total, -1)
+
+
+def _vertex_fields(held: Tables, vertices: Array, wo: Array) -> _Fields:
+    """Glossy lobes of vertices in the world towards directions [n, 3]."""
+    axes = held.axes[vertices].reshape(-1, 9).T
+    tangent, across, normal = axes[0:3], axes[3:6], axes[6:9]
+    x, y, z = wo[:, 0], wo[:, 1], wo[:, 2]
+    local = frames.direction(*(a[0] * x + a[1] * y + a[2] * z for a in (tangent, across, normal)))
+    level = held.level[vertices]
+    place = held.find(local, jnp.maximum(level, 0))
+    first = held.first[vertices]
+    some = level >= 0
+    parts, shares = [], []
+    for corner in range(3):
+        row = jnp.where(some, first + place.corners[:, corner], 0)
+        parts.append(_fields(held.views[row].astype(wo.dtype), held.lobes))
+        shares.append(place.shares[:, corner])
+    found = _absolute(held, _between(shares, parts), held.material[vertices], local)
+    turned = []
+    for x, y, z in found.mu:
+        a, b, c = (x * tangent[i] + y * across[i] + z * normal[i] for i in range(3))
+        turned.append((a, b, c))
+    alpha = [[jnp.where(some, a, 0.0) for a in each] for each in found.alpha]
+    return _Fields(alpha, turned, found.log_kappa)
+
+
+def _absolute(held: Tables, found: _Fields, material: Array, local: Array) -> _Fields:
+    """Lobes that are held over the unoccluded ones."""
+    over = held.over
+    rows, shares = over.places(material, local)
+    each = [_fields(over.rows[rows[:, k]], over.lobes) for k in range(3)]
+    weights = [shares[:, k] for k in range(3)]
+
+    def mixed(values: list[Array]) -> Array:
+        return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
+
+    alphas, axes, logs = [], [], []
+    for k in range(held.lobes):
+        lobe = k % over.lobes
+        whole = [mixed([e.alpha[lobe][c] for e in each]) for c in range(len(found.alpha[k]))]
+        alphas.append([a * b for a, b in zip(found.alpha[k], whole, strict=True)])
+        if k >= over.lobes:
+            axes.append(found.mu[k])
+            logs.append(found.log_kappa[k])
+            continue
+        mean = [mixed([e.mu[lobe][i] for e in each]) for i in range(3)]
+        axis = _normalised(mean, each[0].mu[lobe])
+        axes.append(references.out_of(axis, found.mu[k]))
+        logs.append(found.log_kappa[k] + mixed([e.log_kappa[lobe] for e in each]))
+    return _Fields(alphas, axes, logs)
+
+
+def _matte(held: Tables, light: Lighting, vertices: Array) -> Float[Array, "n C"]:
+    return _lit(_fields(held.diffuse[vertices], held.lobes), light)
+
+
+@eqx.filter_jit
+def vertex_lobes(held: Tables, vertices: Int[Array, " n"], wo: Float[Array, "n 3"]) -> Slices:
+    """Glossy lobes of vertices in the world, towards directions in the world: [n, 3, K, ...].
+
+    Parameters
+    ----------
+    held
+        The transfer.
+    vertices
+        Numbers.
+    wo
+        Unit vectors to the viewer, in the world.
+    """
+    found = _vertex_fields(held, vertices, wo)
+    kinds = (len(vertices), 3, held.lobes // 3)
+    alpha = jnp.stack([jnp.stack(a, -1) for a in found.alpha], 1)
+    mu = jnp.stack([jnp.stack(a, -1) for a in found.mu], 1)
+    kappa = jnp.exp(jnp.stack(found.log_kappa, 1))
+    return Slices(alpha.reshape(*kinds, -1), mu.reshape(*kinds, 3), kappa.reshape(kinds))
+
+
+@eqx.filter_jit
+def vertex_radiance(
+    held: Tables, light: Lighting, vertices: Int[Array, " n"], wo: Float[Array, "n 3"]
+) -> Float[Array, "n C"]:
+    """Radiance of vertices towards directions in the world, as for `vertex_lobes`."""
+    total: Any = 0.0
+    if held.matte:
+        total = _matte(held, light, vertices)
+    if held.glossy:
+        total = total + _lit(_vertex_fields(held, vertices, wo), light)
+    return total
+
+
+@eqx.filter_jit
+def _picture(
+    held: Tables,
+    light: Lighting,
+    vertices: Array,
+    corners: Array,
+    shares: Array,
+    eye: Array,
+    per_pixel: bool,
+) -> Array:
+    """Radiance of samples, [P, C]."""
+    away = eye[None] - held.position[vertices]
+    wo = away / jnp.sqrt(jnp.maximum(dot(away, away), 1e-30))[:, None]
+    if not per_pixel or not held.glossy:
+        each = vertex_radiance(held, light, vertices, wo)
+        parts = [shares[:, k : k + 1] * each[corners[:, k]] for k in range(3)]
+        return parts[0] + parts[1] + parts[2]
+    found = _vertex_fields(held, vertices, wo)
+    rows = [jnp.stack([*m, g, *a]) for m, g, a in zip(found.mu, found.log_kappa, found.alpha, strict=True)]
+    table = jnp.concatenate(rows).T
+    matte = _matte(held, light, vertices) if held.matte else None
+
+    def some(args: tuple[Array, Array]) -> Array:
+        where, share = args
+        weights = [share[:, k] for k in range(3)]
+        parts = [_fields(table[where[:, k]], held.lobes) for k in range(3)]
+        value = _lit(_between(weights, parts), light)
+        if matte is not None:
+            for k in range(3):
+                value = value + share[:, k : k + 1] * matte[where[:, k]]
+        return value
+
+    count = corners.shape[0]
+    size = min(_PIXELS, count)
+    blocks = -(-count // size)
+    short = blocks * size - count
+    padded = [jnp.concatenate([a, jnp.repeat(a[:1], short, axis=0)]) for a in (corners, shares)]
+    out = jax.lax.map(some, tuple(a.reshape(blocks, size, 3) for a in padded))
+    return out.reshape(blocks * size, -1)[:count]
+
+
+def picture(
+    held: Tables,
+    light: Lighting,
+    seen: Seen,
+    *,
+    background: Any = None,
+    per_pixel: bool = True,
+) -> Float[Array, "h w C"]:
+    """A picture of what a camera sees.
+
+    Parameters
+    ----------
+    held
+        The transfer.
+    light
+        On it.
+    seen
+        By the camera, see `Raster`.
+    background
+        Radiance of samples that see no surface, [P, C] or one number; 0 by default.
+    per_pixel
+        Lobes are interpolated and lit at every sample; False: radiance of vertices is
+        interpolated.
+    """
+    arrays = (jnp.asarray(a) for a in (seen.vertices, seen.corners, seen.shares, seen.eye))
+    value = _picture(held, light, *arrays, per_pixel)
+    rows, columns = seen.shape
+    count = rows * columns * seen.samples**2
+    behind = jnp.zeros((), value.dtype) if background is None else jnp.asarray(background)
+    return _composed(value, behind, jnp.asarray(seen.covered), count, seen.samples).reshape(
+        rows, columns, -1
+    )
+
+
+@functools.partial(jax.jit, static_argnums=(3, 4))
+def _composed(value: Array, behind: Array, covered: Array, count: int, samples: int) -> Array:
+    """Samples put into their places and averaged over pixels."""
+    whole = jnp.broadcast_to(behind, (count, value.shape[1])).astype(value.dtype)
+    whole = whole.at[covered].set(value, mode="drop", unique_indices=False)
+    each = samples**2
+    if each == 1:
+        return whole
+    return whole.reshape(count // each, each, -1).mean(1)
