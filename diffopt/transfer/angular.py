@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from diffopt.transfer import references, reflectors, slices, tracing, weighting
+from diffopt.transfer import fits, references, reflectors, slices, tracing, weighting
 from diffopt.transfer.references import Unoccluded
 from diffopt.transfer.reflectors import Reflector
 from diffopt.transfer.settings import TransferSettings
@@ -92,12 +92,20 @@ class Estimator:
         count = hemisphere(references.LEVEL).counts[-1]
         if self.reflector.glossy is None:
             up = np.broadcast_to([0.0, 0.0, 1.0], (count, lobes, 3))
-            return references.pack(
-                np.zeros((count, lobes, channels)), up, np.ones((count, lobes))
-            )
-        parts = [self.weights(level) for level in range(references.LEVEL + 1)]
-        arrays = ([np.asarray(a) for a in (w.alpha, w.mu, w.kappa)] for w in parts)
-        return references.pack(*(np.concatenate(a) for a in zip(*arrays, strict=True)))
+            return references.pack(np.zeros((count, lobes, channels)), up, np.ones((count, lobes)))
+        parts = [self.fitted(level) for level in range(references.LEVEL + 1)]
+        return references.pack(*(np.concatenate(a) for a in zip(*parts, strict=True)))
+
+    @functools.lru_cache(maxsize=8)  # noqa: B019
+    def fitted(self, level: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Unoccluded lobes of the views that come with a level, fitted."""
+        views = self.sphere.views[self.sphere.new(level)]
+        return fits.best(self.reflector, views, self.weights(level))
+
+    def unoccluded(self, level: int) -> Unoccluded:
+        """The same, with an axis in front for the vertices."""
+        alpha, mu, kappa = (jnp.asarray(a, jnp.float32)[None] for a in self.fitted(level))
+        return Unoccluded(alpha, mu, jnp.log(jnp.maximum(kappa, 1e-6)))
 
     @functools.lru_cache(maxsize=8)  # noqa: B019
     def scale(self, level: int) -> Float[Array, ""]:
@@ -143,7 +151,8 @@ class Estimator:
             known = _over(self.weights(level), new)
             if before is not None:
                 ends = jnp.asarray(self.sphere.ends[self.sphere.new(level)])
-                far = _prediction(before, new, self.weights(level), ends, self.scale(level))
+                over = self.unoccluded(level)
+                far = _prediction(before, known, over, ends, self.scale(level))
                 apart = np.asarray(far)[: len(active)]
                 error[active] = apart
                 known = jax.tree.map(lambda a, b: jnp.concatenate([a, b], 1), before, known)
@@ -206,22 +215,17 @@ def _slices(weights: Weights, columns: Array, sharpest: Array) -> Slices:
     return slices.from_moments(weights, columns, sharpest)
 
 
-def _unoccluded(weights: Weights) -> Unoccluded:
-    """Of the views, with an axis in front for the vertices."""
-    log = jnp.log(jnp.maximum(weights.kappa, 1e-6))
-    return Unoccluded(weights.alpha[None], weights.mu[None], log[None])
-
-
 @jax.jit
 def _over(weights: Weights, found: Slices) -> Slices:
-    return references.relative(found, _unoccluded(weights))
+    log = jnp.log(jnp.maximum(weights.kappa, 1e-6))
+    return references.relative(found, Unoccluded(weights.alpha[None], weights.mu[None], log[None]))
 
 
 @jax.jit
-def _prediction(before: Slices, new: Slices, weights: Weights, ends: Array, scale: Array) -> Array:
+def _prediction(before: Slices, new: Slices, over: Unoccluded, ends: Array, scale: Array) -> Array:
     """Root of the mean squared distance of new slices from those between which they lie."""
     pair = Slices(*(a[:, ends] for a in before))
     half = jnp.full((*pair.kappa.shape[:3],), 0.5, pair.kappa.dtype)
-    between = references.absolute(slices.between(half, pair), _unoccluded(weights))
-    apart = slices.squared_distance(between, new)
+    between = references.absolute(slices.between(half, pair), over)
+    apart = slices.squared_distance(between, references.absolute(new, over))
     return jnp.sqrt(apart.mean(-1) / scale)

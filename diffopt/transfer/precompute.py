@@ -314,7 +314,9 @@ class _Run:
             own = size[rows]
             first[rows] = at + np.cumsum(own) - own
             at += int(own.sum())
-        views = Slices(*(np.concatenate(a) for a in zip(*(b.views for _, b in self.found), strict=True)))
+        views = Slices(
+            *(np.concatenate(a) for a in zip(*(b.views for _, b in self.found), strict=True))
+        )
         order = np.argsort(np.concatenate([rows for rows, _ in self.found]), kind="stable")
         matte = zip(*(b.diffuse for _, b in self.found), strict=True)
         diffuse = Slices(*(np.concatenate(a)[order] for a in matte))
@@ -367,8 +369,10 @@ class _Run:
             rows = np.flatnonzero(number == k)
             made = self._estimator(int(k))
             scale, matte = made.scales(self.settings.compared)
+            bent = spatial.bending(over, int(k), float(scale[-1]))
+            most = self.settings.compared
             out[rows] = spatial.differences(
-                known, over, int(k), pairs[rows], scale, matte, self.settings.compared
+                known, over, int(k), pairs[rows], scale, matte, bent, most
             )
         return out
 

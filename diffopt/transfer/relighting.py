@@ -240,8 +240,10 @@ def _between(shares: list[Array], parts: list[_Fields]) -> _Fields:
     """As `diffopt.transfer.slices.between`."""
     alphas, axes, logs = [], [], []
     for k in range(len(parts[0].mu)):
-        alpha = [sum(s * p.alpha[k][c] for s, p in zip(shares, parts, strict=True))
-                 for c in range(len(parts[0].alpha[k]))]
+        alpha = [
+            sum(s * p.alpha[k][c] for s, p in zip(shares, parts, strict=True))
+            for c in range(len(parts[0].alpha[k]))
+        ]
         weights = slices.shares_by_light([sum(p.alpha[k]) for p in parts], shares)
         mu = [sum(w * p.mu[k][i] for w, p in zip(weights, parts, strict=True)) for i in range(3)]
         axes.append(_normalised(mu, parts[0].mu[k]))
@@ -377,7 +379,10 @@ def _picture(
         parts = [shares[:, k : k + 1] * each[corners[:, k]] for k in range(3)]
         return parts[0] + parts[1] + parts[2]
     found = _vertex_fields(held, vertices, wo)
-    rows = [jnp.stack([*m, g, *a]) for m, g, a in zip(found.mu, found.log_kappa, found.alpha, strict=True)]
+    rows = [
+        jnp.stack([*m, g, *a])
+        for m, g, a in zip(found.mu, found.log_kappa, found.alpha, strict=True)
+    ]
     table = jnp.concatenate(rows).T
     matte = _matte(held, light, vertices) if held.matte else None
 

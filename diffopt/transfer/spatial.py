@@ -2,8 +2,8 @@
 
 The mean distance of the slices of corresponding views (the glossy-transfer paper, section 4.3),
 exact, over the norm of the unoccluded slices. Views correspond that the smallest rotation takes
-into each other that takes one normal into the other, whatever the tangents: a surface that is
-bent but sees nothing of itself has no difference.
+into each other that takes one normal into the other, whatever the tangents. To that comes what
+interpolation between bent normals makes of slices that see nothing but light.
 """
 
 import functools
@@ -54,6 +54,7 @@ def differences(
     pairs: Int[np.ndarray, "E 2"],
     scale: Float[np.ndarray, " L"],
     matte: float,
+    bent: tuple[np.ndarray, np.ndarray],
     most: int,
 ) -> Float[np.ndarray, " E"]:
     """Difference of pairs of vertices of one material.
@@ -72,6 +73,8 @@ def differences(
         Mean squared norm of the unoccluded slices of the views up to each level.
     matte
         Squared norm of the unoccluded diffuse slice.
+    bent
+        Squared difference from angles between normals alone, see `bending`.
     most
         Level of views that are compared at most.
     """
@@ -91,7 +94,66 @@ def differences(
         square[part] += np.asarray(_matte(near, far, angle))[: len(one[part])]
     whole = np.where(common >= 0, scale[np.maximum(common, 0)], 0.0) + matte
     np.divide(square, whole, out=out, where=whole > 0.0)
-    return np.sqrt(out)
+    cos = (known.axes[one][:, 2] * known.axes[two][:, 2]).sum(-1)
+    return np.sqrt(out + np.interp(np.arccos(np.clip(cos, -1.0, 1.0)), *bent))
+
+
+# Angles between normals in the table of `bending`, radians.
+_ANGLES = np.linspace(0.0, 1.0, 33) ** 2 * np.pi
+
+
+def bending(over: Reference, material: int, whole: float) -> tuple[np.ndarray, np.ndarray]:
+    """What interpolation halfway between two normals misses of unoccluded slices.
+
+    Parameters
+    ----------
+    over
+        Unoccluded lobes.
+    material
+        Which of them.
+    whole
+        Squared norm that the squared distance is divided by.
+
+    Returns
+    -------
+    tuple
+        Angles between the normals, radians, and squared relative distances, rising.
+    """
+    views = jnp.asarray(hemisphere(2).views, jnp.float32)
+    apart = _bending(
+        over, jnp.asarray(material, jnp.int32), views, jnp.asarray(_ANGLES, jnp.float32)
+    )
+    squared = np.asarray(apart, np.float64) / whole if whole > 0.0 else np.zeros(len(_ANGLES))
+    return _ANGLES, np.maximum.accumulate(squared)
+
+
+@jax.jit
+def _bending(over: Reference, material: Array, views: Array, angles: Array) -> Array:
+    here = over.at(material, views)
+
+    def one(angle: Array) -> Array:
+        def end(half: Array) -> Unoccluded:
+            found = over.at(material, _tilted(views, half))
+            return Unoccluded(found.alpha, _tilted(found.mu, -half), found.log_kappa)
+
+        two = [_as_slices(end(half)) for half in (0.5 * angle, -0.5 * angle)]
+        pair = Slices(*(jnp.stack(a, 1) for a in zip(*two, strict=True)))
+        shares = jnp.full((len(views), 2), 0.5, views.dtype)
+        return slices.squared_distance(slices.between(shares, pair), _as_slices(here)).mean()
+
+    return jax.lax.map(one, angles)
+
+
+def _as_slices(found: Unoccluded) -> Slices:
+    """One kind of path alone."""
+    return Slices(found.alpha[:, None], found.mu[:, None], jnp.exp(found.log_kappa)[:, None])
+
+
+def _tilted(directions: Array, angle: Array) -> Array:
+    """Directions in a frame that is tilted in the plane of x and z."""
+    cos, sin = jnp.cos(angle), jnp.sin(angle)
+    x, y, z = directions[..., 0], directions[..., 1], directions[..., 2]
+    return jnp.stack([cos * x + sin * z, y, cos * z - sin * x], -1)
 
 
 def _turns(one: np.ndarray, two: np.ndarray) -> Float[np.ndarray, " E"]:
@@ -128,7 +190,9 @@ def _views(
         near = _taken(known.views, known.first[one][:, None] + np.arange(count))
         rows = known.first[two][:, None, None] + np.asarray(corners)
         far = _taken(known.views, rows)
-        out.append(np.asarray(_compared(over, number, near, here, far, there, shares, angle))[:size])
+        out.append(
+            np.asarray(_compared(over, number, near, here, far, there, shares, angle))[:size]
+        )
     return np.concatenate(out)
 
 
