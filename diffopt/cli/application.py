@@ -15,6 +15,7 @@ from diffopt.cli import (
     fitting,
     inspection,
     material,
+    precompute,
     render,
     scene,
     shadow,
@@ -37,6 +38,7 @@ app.command("material")(material.command)
 app.add_typer(fitting.app, name="fit")
 app.add_typer(scene.app, name="scene")
 app.command("render")(render.command)
+app.command("precompute")(precompute.command)
 app.command("shadow")(shadow.command)
 app.command("demo")(demo.command)
 app.command("accuracy")(studying.accuracy)

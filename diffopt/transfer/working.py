@@ -17,7 +17,7 @@ import time
 import uuid
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import jax
 import numpy as np
@@ -128,7 +128,7 @@ class Working:
             raise
         self._clock, self._cpu = time.perf_counter(), time.process_time()
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "Working":
         return self
 
     def __exit__(
@@ -157,7 +157,7 @@ class Working:
         path = self._file(number)
         try:
             # The checksums of the zip archive are tested on the way.
-            with np.load(path, allow_pickle=False) as file:
+            with path.open("rb") as whole, np.load(whole, allow_pickle=False) as file:
                 views, diffuse = (
                     Slices(*(file[f"{part}_{name}"] for name in _ARRAYS))
                     for part in ("views", "diffuse")
@@ -179,19 +179,18 @@ class Working:
     def save(self, number: int, batch: Vertices) -> None:
         """Keep a batch."""
         clock, cpu = self._own()
-        arrays = {
+        arrays: dict[str, Any] = {
             f"{part}_{name}": values
             for part, found in (("views", batch.views), ("diffuse", batch.diffuse))
             for name, values in zip(_ARRAYS, found, strict=True)
         }
+        arrays |= {"clock": clock, "cpu": cpu}
         with replacing(self._file(number)) as file:
             np.savez(
                 file,
                 level=batch.level,
                 error=batch.error,
                 session=np.array(self._session),
-                clock=clock,
-                cpu=cpu,
                 **arrays,
             )
 
