@@ -12,6 +12,7 @@
 `fitting`         ``diffopt fit``; `fit_targets`: what is fitted to
 `scene`           ``diffopt scene``: scene files checked, and examples
 `render`          ``diffopt render``: their pictures
+`precompute`      ``diffopt precompute``: transfer into a store (`precompute_tables`)
 `shadow`          ``diffopt shadow``: a deforming object and its soft shadow (`film`)
 `inspection`      ``diffopt samples`` and ``diffopt info``
 `limits`          refusal of files that claim to be enormous
