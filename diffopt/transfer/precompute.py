@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import time
 from collections.abc import Callable, Iterator
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -24,6 +24,8 @@ from diffopt.transfer.tracing import Frames, Surroundings
 from diffopt.transfer.views import hemisphere
 
 
+@runtime_checkable
+@runtime_checkable
 class Batches(Protocol):
     """Where finished batches of vertices are kept."""
 

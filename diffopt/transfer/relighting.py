@@ -9,7 +9,7 @@ Differentiable in the light and in the lobes.
 """
 
 import functools
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -30,6 +30,8 @@ from diffopt.transfer.views import Locator, locator
 _PIXELS = 2**13
 
 
+@runtime_checkable
+@runtime_checkable
 class Lighting(Protocol):
     """Light from infinity averaged over lobes."""
 

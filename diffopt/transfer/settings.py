@@ -95,5 +95,7 @@ def _whole(name: str, value: int, low: int, high: int) -> None:
 def _number(name: str, value: float, low: float, high: float, open_low: bool = False) -> None:
     fine = isinstance(value, int | float) and math.isfinite(value) and low <= value <= high
     if not fine or (open_low and value == low):
-        raise InputError(f"{name} must be {'above' if open_low else 'from'} {low:g} and at most "
-                         f"{high:g}; received {value}")
+        raise InputError(
+            f"{name} must be {'above' if open_low else 'from'} {low:g} and at most "
+            f"{high:g}; received {value}"
+        )

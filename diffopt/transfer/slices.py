@@ -71,7 +71,10 @@ def _kind(
     alpha: Array, whole: Array, first: Array, weights: Weights, sharpest: Array
 ) -> tuple[Array, Array, Array]:
     some, mu, kappa = lobe(
-        whole, first, jnp.broadcast_to(weights.mu[None], first.shape), jnp.full_like(whole, sharpest)
+        whole,
+        first,
+        jnp.broadcast_to(weights.mu[None], first.shape),
+        jnp.full_like(whole, sharpest),
     )
     # Where nothing is seen the lobe is the unoccluded one, with no weight.
     dark = some <= 0.0
