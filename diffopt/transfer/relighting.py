@@ -9,6 +9,7 @@ Differentiable in the light and in the lobes.
 """
 
 import functools
+import operator
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
@@ -19,6 +20,7 @@ from jaxtyping import Array, Float, Int
 
 from diffopt.kernels import frames
 from diffopt.kernels.frames import dot
+from diffopt.rendering import programs
 from diffopt.scenes.camera import Camera
 from diffopt.transfer import references, slices
 from diffopt.transfer.precompute import Transfer
@@ -264,15 +266,22 @@ def _normalised(mu: list[Array], otherwise: tuple[Array, ...]) -> tuple[Array, A
 
 def _lit(found: _Fields, light: Lighting) -> Float[Array, "n C"]:
     """Radiance of lobes under light."""
-    # All lobes in one look-up: the program is smaller, and no slower.
-    mu = frames.direction(*(jnp.stack([axis[i] for axis in found.mu]) for i in range(3)))
-    value = light.radiance(mu, jnp.exp(jnp.stack(found.log_kappa)))
-    channels = value.shape[-1]
-    total = []
-    for c in range(channels):
-        own = [found.alpha[k][min(c, len(found.alpha[k]) - 1)] for k in range(len(found.mu))]
-        total.append(sum(a * value[k, :, c] for k, a in enumerate(own)))
-    return jnp.stack(total, -1)
+    # Look-ups one after the other: what stacks them takes longer than they do.
+    total: list[Any] = []
+    for mu, log, alpha in zip(found.mu, found.log_kappa, found.alpha, strict=True):
+        value = light.radiance(frames.direction(*mu), jnp.exp(log))
+        if len(alpha) == 1:
+            total.append(alpha[0][:, None] * value)
+        else:
+            total.append(_beside(alpha) * value)
+    return functools.reduce(operator.add, total)
+
+
+def _beside(channels: list[Array]) -> Float[Array, "n C"]:
+    """Arrays side by side; see `diffopt.kernels.frames.direction` for why not by stacking."""
+    if len(channels) == 3:
+        return frames.direction(*channels)
+    return jnp.stack(channels, -1)
 
 
 def _vertex_fields(held: Tables, vertices: Array, wo: Array) -> _Fields:
@@ -363,8 +372,7 @@ def vertex_radiance(
     return total
 
 
-@eqx.filter_jit
-def _picture(
+def _samples(
     held: Tables,
     light: Lighting,
     vertices: Array,
@@ -439,6 +447,17 @@ def picture(
     return _composed(value, behind, jnp.asarray(seen.covered), count, seen.samples).reshape(
         rows, columns, -1
     )
+
+
+# Two compilations of the same: the first is twice as fast with lobes at every pixel, half as fast
+# without, and is not for use within other programs.
+_quick = programs.Program(_samples)
+_traced = eqx.filter_jit(_samples)
+
+
+def _picture(*args: Any) -> Array:
+    inside = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(args))
+    return (_quick if args[-1] and not inside else _traced)(*args)
 
 
 @functools.partial(jax.jit, static_argnums=(3, 4))
