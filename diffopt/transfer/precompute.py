@@ -312,7 +312,7 @@ class _Run:
         size = counts[level]
         first = np.zeros(count, np.int64)
         at = 0
-        for rows, batch in self.found:
+        for rows, _ in self.found:
             own = size[rows]
             first[rows] = at + np.cumsum(own) - own
             at += int(own.sum())

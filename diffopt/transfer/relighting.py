@@ -128,6 +128,8 @@ class Seen(NamedTuple):
         That are needed, padded with the last one, [n].
     covered
         Samples that see the front of a surface, padded with one beyond the last, [P].
+    place
+        Place of every sample among those, P for those that see none, [h w samples^2].
     corners
         Places among `vertices` of the corners of their triangles, [P, 3].
     shares
@@ -144,6 +146,7 @@ class Seen(NamedTuple):
 
     vertices: Int[np.ndarray, " n"]
     covered: Int[np.ndarray, " P"]
+    place: Int[np.ndarray, " S"]
     corners: Int[np.ndarray, "P 3"]
     shares: Float[np.ndarray, "P 3"]
     towards: Float[np.ndarray, "S 3"]
@@ -197,9 +200,12 @@ class Raster:
         u, v = found["u"][covered], found["v"][covered]
         shares = np.stack([1.0 - u - v, u, v], -1).astype(np.float32)
         size = _bucket(len(covered))
+        beside = np.full(len(pixel), size, np.int32)
+        beside[covered] = np.arange(len(covered), dtype=np.int32)
         return Seen(
             _filled(vertices, _bucket(len(vertices)), 0),
             _filled(covered.astype(np.int32), size, len(pixel)),
+            beside,
             _filled(place[met], size, 0),
             _filled(shares, size, np.float32(1.0 / 3.0)),
             along,
@@ -442,11 +448,9 @@ def picture(
     arrays = (jnp.asarray(a) for a in (seen.vertices, seen.corners, seen.shares, seen.eye))
     value = _picture(held, light, *arrays, per_pixel)
     rows, columns = seen.shape
-    count = rows * columns * seen.samples**2
     behind = jnp.zeros((), value.dtype) if background is None else jnp.asarray(background)
-    return _composed(value, behind, jnp.asarray(seen.covered), count, seen.samples).reshape(
-        rows, columns, -1
-    )
+    whole = _composed(value, behind, jnp.asarray(seen.place), seen.samples)
+    return whole.reshape(rows, columns, -1)
 
 
 # Two compilations of the same: the first is twice as fast with lobes at every pixel, half as fast
@@ -460,12 +464,12 @@ def _picture(*args: Any) -> Array:
     return (_quick if args[-1] and not inside else _traced)(*args)
 
 
-@functools.partial(jax.jit, static_argnums=(3, 4))
-def _composed(value: Array, behind: Array, covered: Array, count: int, samples: int) -> Array:
+@functools.partial(jax.jit, static_argnums=3)
+def _composed(value: Array, behind: Array, place: Array, samples: int) -> Array:
     """Samples put into their places and averaged over pixels."""
-    whole = jnp.broadcast_to(behind, (count, value.shape[1])).astype(value.dtype)
-    whole = whole.at[covered].set(value, mode="drop", unique_indices=False)
+    count = value.shape[0]
+    found = value[jnp.minimum(place, count - 1)]
+    behind = jnp.broadcast_to(behind, found.shape).astype(value.dtype)
+    whole = jnp.where((place < count)[:, None], found, behind)
     each = samples**2
-    if each == 1:
-        return whole
-    return whole.reshape(count // each, each, -1).mean(1)
+    return whole if each == 1 else whole.reshape(-1, each, value.shape[1]).mean(1)

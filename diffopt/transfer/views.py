@@ -2,8 +2,8 @@
 
 The upper half of an icosahedron that the horizon mirrors, its four cut faces closed at the
 horizon, subdivided again and again: 10, 31, 109, 409, 1585 and 6241 views at levels 0 to 5,
-at most 63, 36, 19, 9, 5 and 2 degrees apart. The views of a level are the first ones of the next; each
-new one halves an edge.
+at most 63, 36, 19, 9, 5 and 2 degrees apart. The views of a level are the first ones of the next;
+each new one halves an edge.
 """
 
 import dataclasses
@@ -146,15 +146,19 @@ class Locator(eqx.Module):
         Parameters
         ----------
         wo
-            Unit vectors, [..., 3]; below the horizon, or next to it, the nearest shares >= 0.
+            Unit vectors, [..., 3]; those below the lowest views are raised to them.
         level
             Of each, at most that of the locator.
         """
+        # Shares go by the direction alone: no need of its length.
+        raised = jnp.maximum(wo[..., 2], math.sin(_LOWEST))
+        wo = jnp.stack([wo[..., 0], wo[..., 1], raised], -1)
         face = self._guess(wo)
         first = jnp.asarray([4 * (4**k - 1) for k in range(self.level + 1)], jnp.int32)
         face = (face >> (2 * (self.level - level))) + first[level]
         shares = self._shares(face, wo)
-        for _ in range(2):
+        # Of the six triangles around a view the one across is three sides away.
+        for _ in range(3):
             out = jnp.argmin(shares, -1)
             least = shares.min(-1)
             across = jnp.take_along_axis(self.beside[face], out[..., None], -1)[..., 0]
@@ -170,8 +174,8 @@ class Locator(eqx.Module):
 
     def _guess(self, wo: Array) -> Array:
         """Triangle of the finest level, or one near it."""
-        x, y, z = wo[..., 0], wo[..., 1], jnp.maximum(wo[..., 2], 0.0)
-        scale = 0.5 * _CELLS / jnp.maximum(jnp.abs(x) + jnp.abs(y) + z, 1e-6)
+        x, y, z = wo[..., 0], wo[..., 1], wo[..., 2]
+        scale = 0.5 * _CELLS / (jnp.abs(x) + jnp.abs(y) + z)
         place = [
             jnp.clip((t * scale + 0.5 * _CELLS).astype(jnp.int32), 0, _CELLS - 1)
             for t in (x + y, x - y)
