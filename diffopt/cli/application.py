@@ -16,6 +16,7 @@ from diffopt.cli import (
     inspection,
     material,
     precompute,
+    relight,
     render,
     scene,
     shadow,
@@ -39,6 +40,7 @@ app.add_typer(fitting.app, name="fit")
 app.add_typer(scene.app, name="scene")
 app.command("render")(render.command)
 app.command("precompute")(precompute.command)
+app.command("relight")(relight.command)
 app.command("shadow")(shadow.command)
 app.command("demo")(demo.command)
 app.command("accuracy")(studying.accuracy)

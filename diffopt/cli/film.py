@@ -177,7 +177,7 @@ class Film:
         """Animation, table and numbers."""
         import csv
 
-        _write_gif(folder, len(self.frames), count)
+        write_gif(folder, len(self.frames), count)
         (folder / "times.txt").write_text("\n".join(self.text()) + "\n", encoding="utf-8")
         with (folder / "times.csv").open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
@@ -227,7 +227,7 @@ def frame_name(number: int) -> str:
     return f"frame_{number:04d}.png"
 
 
-def _write_gif(folder: Path, done: int, count: int) -> None:
+def write_gif(folder: Path, done: int, count: int) -> None:
     """All frames in one set of colours, so that nothing flickers."""
     import numpy as np
     import PIL.Image
