@@ -33,7 +33,6 @@ _PIXELS = 2**13
 
 
 @runtime_checkable
-@runtime_checkable
 class Lighting(Protocol):
     """Light from infinity averaged over lobes."""
 
