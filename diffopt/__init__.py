@@ -31,6 +31,7 @@
 `scenes`               objects, lights and cameras
 `rendering`            pictures of scenes, at several levels of image synthesis
 `shadows`              soft shadows of deforming objects
+`transfer`             glossy surfaces relit from precomputed transfer
 `workers`              work of several threads, in order
 `colour`               spectra to XYZ to sRGB
 `illuminants`          illuminants, the observer, weights from spectra to XYZ
@@ -40,6 +41,9 @@
 =====================  ==========================================================
 """
 
+# Before the imports: modules write it into their files.
+__version__ = "0.1.0"
+
 from diffopt import colour as colour
 from diffopt import fresnel as fresnel
 from diffopt import gratings as gratings
@@ -47,6 +51,7 @@ from diffopt import materials as materials
 from diffopt import samples as samples
 from diffopt import scenes as scenes
 from diffopt import shadows as shadows
+from diffopt import transfer as transfer
 from diffopt.accuracy.studies import study as study
 from diffopt.brdf_lobes import BRDFLobes as BRDFLobes
 from diffopt.choice import Choice as Choice
@@ -73,5 +78,3 @@ from diffopt.statistical import GaussianRoughness as GaussianRoughness
 from diffopt.statistical import RandomBumps as RandomBumps
 from diffopt.stores import BakedBRDF as BakedBRDF
 from diffopt.stores import load_table as load_table
-
-__version__ = "0.1.0"
