@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from diffopt.transfer import fits, references, reflectors, slices, tracing, weighting
 from diffopt.transfer.references import Unoccluded
+from diffopt.transfer.refinement import Measure
 from diffopt.transfer.reflectors import Reflector
 from diffopt.transfer.settings import TransferSettings
 from diffopt.transfer.slices import Slices
@@ -112,6 +113,11 @@ class Estimator:
         """Mean squared norm of the unoccluded slices that come with a level."""
         norm = slices.squared_norm(slices.unoccluded(self.weights(level)))
         return jnp.maximum(norm.mean(), jnp.finfo(norm.dtype).tiny)
+
+    @functools.cached_property
+    def measure(self) -> Measure:
+        """What differences are measured by."""
+        return Measure(self.reference, *self.scales(self.settings.compared))
 
     def scales(self, most: int) -> tuple[Float[np.ndarray, " L"], float]:
         """Mean squared norms of unoccluded slices: of the views up to each level, and diffuse."""

@@ -13,8 +13,9 @@ from diffopt import workers
 from diffopt.errors import InputError
 from diffopt.scenes import raycasting
 from diffopt.scenes.scene import Scene
-from diffopt.transfer import references, spatial, tessellation
+from diffopt.transfer import tessellation
 from diffopt.transfer.angular import Estimator, Vertices
+from diffopt.transfer.refinement import Measure, Refinement
 from diffopt.transfer.reflectors import reflectors
 from diffopt.transfer.settings import TransferSettings
 from diffopt.transfer.slices import Slices
@@ -24,7 +25,6 @@ from diffopt.transfer.tracing import Frames, Surroundings
 from diffopt.transfer.views import hemisphere
 
 
-@runtime_checkable
 @runtime_checkable
 class Batches(Protocol):
     """Where finished batches of vertices are kept."""
@@ -245,9 +245,11 @@ class _Run:
         if uniform is not None:
             self.mesh = tessellation.uniform(self.mesh, uniform)
         self._round(0)
-        apart: dict[int, float] = {}
+        refinement = Refinement(self.settings)
         while uniform is None:
-            chosen, waiting = self._chosen(apart)
+            chosen, waiting = refinement.chosen(
+                self.mesh, self._known, self.reflector, self._measures()
+            )
             if not len(chosen):
                 break
             self.mesh = tessellation.split(self.mesh, chosen)
@@ -324,62 +326,8 @@ class _Run:
         diffuse = Slices(*(np.concatenate(a)[order] for a in matte))
         return Known(level, first, views, diffuse, self.axes)
 
-    def _chosen(self, apart: dict[int, float]) -> tuple[np.ndarray, int]:
-        """Leaves to split next, the worst ones, and how many wait."""
-        mesh, settings = self.mesh, self.settings
-        leaves = tessellation.leaves(mesh)
-        open_ = leaves[mesh.level[leaves] < settings.splits]
-        if settings.least_area > 0.0:
-            area = tessellation.areas(mesh, open_)
-            whole = tessellation.areas(mesh, np.flatnonzero(mesh.level == 0)).sum()
-            open_ = open_[area > settings.least_area * whole]
-        if not len(open_) or len(mesh.vertices) >= settings.most_vertices:
-            return open_[:0], 0
-        edges, sides = tessellation.pairs(mesh, open_)
-        count = len(mesh.vertices)
-        # Numbers of pairs that no later vertex changes.
-        keys = edges[:, 1].astype(np.int64) * 2**31 + edges[:, 0]
-        fresh = np.array([key not in apart for key in keys.tolist()], bool)
-        if fresh.any():
-            found = self._differences(self._known(), edges[fresh])
-            apart.update(zip(keys[fresh].tolist(), found.tolist(), strict=True))
-        values = np.array([apart[key] for key in keys.tolist()])
-        error = values[sides].max(-1) * np.sqrt(self._share(open_))
-        over = np.flatnonzero(error > settings.tolerance)
-        # A split brings two vertices, about: no more than are allowed.
-        most = min(settings.round_faces, max(1, (settings.most_vertices - count) // 2))
-        worst = over[np.argsort(-error[over], kind="stable")][:most]
-        return open_[worst], len(over)
-
-    def _share(self, faces: np.ndarray) -> np.ndarray:
-        """Area of faces over that of the mean initial face, at most 1.
-
-        The squared error of a picture is a sum over areas: a difference is worth a split where
-        it is wide. Without it the edges of all reflections would be followed to the finest
-        triangles.
-        """
-        mesh = self.mesh
-        area = tessellation.areas(mesh, faces)
-        initial = tessellation.areas(mesh, np.flatnonzero(mesh.level == 0))
-        return np.minimum(area / initial.mean(), 1.0)
-
-    def _differences(self, known: Known, pairs: np.ndarray) -> np.ndarray:
-        out = np.zeros(len(pairs))
-        number = self.reflector[pairs[:, 0]]
-        over = references.reference(self._references(), self.settings.lobes, references.LEVEL)
-        for k in np.unique(number):
-            rows = np.flatnonzero(number == k)
-            made = self._estimator(int(k))
-            scale, matte = made.scales(self.settings.compared)
-            bent = spatial.bending(over, int(k), float(scale[-1]))
-            most = self.settings.compared
-            out[rows] = spatial.differences(
-                known, over, int(k), pairs[rows], scale, matte, bent, most
-            )
-        return out
-
-    def _references(self) -> list[np.ndarray]:
-        return [self._estimator(k).reference for k in range(len(self.around.reflectors))]
+    def _measures(self) -> list[Measure]:
+        return [self._estimator(k).measure for k in range(len(self.around.reflectors))]
 
     def _result(self) -> Transfer:
         known = self._known()
@@ -394,7 +342,7 @@ class _Run:
             first=known.first,
             views=known.views,
             diffuse=known.diffuse,
-            unoccluded=np.stack(self._references()).astype(np.float32),
+            unoccluded=np.stack([m.unoccluded for m in self._measures()]).astype(np.float32),
             error=error,
             settings=self.settings,
             rounds=tuple(self.rounds),

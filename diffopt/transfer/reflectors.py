@@ -142,7 +142,7 @@ def _split(
         return [(factor, material)], []
     if isinstance(material, Sum):
         pairs = [_split(part, factor) for part in material.parts]
-        return sum((d for d, _ in pairs), []), sum((g for _, g in pairs), [])
+        return [x for d, _ in pairs for x in d], [x for _, g in pairs for x in g]
     if isinstance(material, Scaled):
         return _split(material.material, factor * np.asarray(material.factor, np.float64))
     scaled = material if np.ndim(factor) == 0 and factor == 1.0 else Scaled(material, factor)

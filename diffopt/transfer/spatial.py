@@ -57,7 +57,7 @@ def differences(
     bent: tuple[np.ndarray, np.ndarray],
     most: int,
 ) -> Float[np.ndarray, " E"]:
-    """Difference of pairs of vertices of one material.
+    """Half the difference of pairs of vertices of one material, and what bent normals add.
 
     Parameters
     ----------
@@ -95,7 +95,103 @@ def differences(
     whole = np.where(common >= 0, scale[np.maximum(common, 0)], 0.0) + matte
     np.divide(square, whole, out=out, where=whole > 0.0)
     cos = (known.axes[one][:, 2] * known.axes[two][:, 2]).sum(-1)
-    return np.sqrt(out + np.interp(np.arccos(np.clip(cos, -1.0, 1.0)), *bent))
+    return np.sqrt(0.25 * out + np.interp(np.arccos(np.clip(cos, -1.0, 1.0)), *bent))
+
+
+def surprises(
+    known: Known,
+    over: Reference,
+    material: int,
+    vertices: Int[np.ndarray, " n"],
+    ends: Int[np.ndarray, "n 2"],
+    scale: Float[np.ndarray, " L"],
+    matte: float,
+    most: int,
+) -> Float[np.ndarray, " n"]:
+    """How far the slices of vertices are from what two others, between which they lie, predict.
+
+    Seen from the same directions of the world, as pictures interpolate. Parameters as of
+    `differences`; `ends` are the two others.
+    """
+    square = np.zeros(len(vertices))
+    axes = known.axes.astype(np.float32)
+    turn = np.einsum("neij,nkj->neik", axes[ends], axes[vertices])
+    level = np.minimum(known.level[vertices], most)
+    for at in np.unique(level):
+        rows = np.flatnonzero(level == at)
+        if at >= 0:
+            square[rows] = _halfway(
+                known, over, material, vertices[rows], ends[rows], turn[rows], int(at)
+            )
+    for start in range(0, len(vertices), _BLOCK):
+        part = slice(start, start + _BLOCK)
+        here = _taken(known.diffuse, _filled(vertices[part], _BLOCK))
+        two = _taken(known.diffuse, _filled(ends[part], _BLOCK))
+        apart = _matte_halfway(here, two, _filled(turn[part], _BLOCK))
+        square[part] += np.asarray(apart)[: len(vertices[part])]
+    whole = np.where(level >= 0, scale[np.maximum(level, 0)], 0.0) + matte
+    return np.sqrt(np.divide(square, whole, out=np.zeros_like(square), where=whole > 0.0))
+
+
+def _halfway(
+    known: Known,
+    over: Reference,
+    material: int,
+    vertices: np.ndarray,
+    ends: np.ndarray,
+    turn: np.ndarray,
+    level: int,
+) -> Float[np.ndarray, " n"]:
+    count = hemisphere(level).counts[level]
+    step = max(1, _BLOCK // (2 * count))
+    views = jnp.asarray(hemisphere(level).views, jnp.float32)
+    find = _locator(int(known.level.max()))
+    number = jnp.asarray(material, jnp.int32)
+    here = _here(over, number, views)
+    out = []
+    for start in range(0, len(vertices), step):
+        part = slice(start, start + step)
+        size = len(vertices[part])
+        own, two, turned = (_filled(a[part], step) for a in (vertices, ends, turn))
+        there, corners, shares = _seen_from(find, views, turned, known.level[two].astype(np.int32))
+        near = _taken(known.views, known.first[own][:, None] + np.arange(count))
+        far = _taken(known.views, known.first[two][:, :, None, None] + np.asarray(corners))
+        found = _between_ends(over, number, near, here, far, there, shares, turned)
+        out.append(np.asarray(found)[:size])
+    return np.concatenate(out)
+
+
+@jax.jit
+def _seen_from(find: Locator, views: Array, turn: Array, level: Array) -> Any:
+    """Where the views of vertices lie among those of both ends, [n, 2, V, ...]."""
+    there = jnp.einsum("neij,vj->nevi", turn, views, precision="highest")
+    return there, *find(there, level[:, :, None])
+
+
+@jax.jit
+def _between_ends(
+    over: Reference,
+    material: Array,
+    near: Slices,
+    here: Unoccluded,
+    far: Slices,
+    there: Array,
+    shares: Array,
+    turn: Array,
+) -> Array:
+    one = references.absolute(near, jax.tree.map(lambda a: a[None], here))
+    ends = references.absolute(slices.between(shares, far), over.at(material, there))
+    mu = jnp.einsum("neij,nevkli->nevklj", turn, ends.mu, precision="highest")
+    pair = Slices(*(jnp.moveaxis(a, 1, 2) for a in ends._replace(mu=mu)))
+    half = jnp.full(pair.kappa.shape[:3], 0.5, pair.kappa.dtype)
+    return slices.squared_distance(one, slices.between(half, pair)).mean(-1)
+
+
+@jax.jit
+def _matte_halfway(here: Slices, two: Slices, turn: Array) -> Array:
+    mu = jnp.einsum("neij,nekli->neklj", turn, two.mu, precision="highest")
+    half = jnp.full(two.kappa.shape[:2], 0.5, two.kappa.dtype)
+    return slices.squared_distance(here, slices.between(half, two._replace(mu=mu)))
 
 
 # Angles between normals in the table of `bending`, radians.
