@@ -51,6 +51,13 @@ NAMES: dict[str, str] = {
     "shadow.map": "diffopt.accuracy.shadow_studies:MAPS",
     "shadow.radial": "diffopt.accuracy.shadow_studies:RADIAL",
     "shadow.rays": "diffopt.accuracy.shadow_studies:RAYS",
+    "transfer.estimator": "diffopt.accuracy.transfer_studies:ESTIMATOR",
+    "transfer.levels": "diffopt.accuracy.transfer_studies:LEVELS",
+    "transfer.lighting": "diffopt.accuracy.transfer_studies:LIGHTING",
+    "transfer.lobes": "diffopt.accuracy.transfer_studies:LOBES",
+    "transfer.quantisation": "diffopt.accuracy.transfer_studies:QUANTISATION",
+    "transfer.rays": "diffopt.accuracy.transfer_studies:RAYS",
+    "transfer.tolerance": "diffopt.accuracy.transfer_studies:TOLERANCE",
 }
 
 Value = str | int | float | bool
