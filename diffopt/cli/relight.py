@@ -65,7 +65,7 @@ def command(
     check: Annotated[
         bool, typer.Option("--check", help="Also a path-traced picture beside ours, and numbers.")
     ] = False,
-    spp: Annotated[int, typer.Option(help="Paths a pixel for --check.")] = 64,
+    spp: Annotated[int, typer.Option(help="Paths a pixel for --check.")] = 128,
     mesh: Annotated[bool, typer.Option("--mesh", help="Also the refined mesh.")] = False,
     levels: Annotated[bool, typer.Option("--levels", help="Also views of vertices.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,

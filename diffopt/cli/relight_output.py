@@ -222,13 +222,11 @@ class Session:
 
         relit, channels = self.relit, self.scene.channels
         whole = np.asarray(relit.radiance())
-        rest = whole.astype(np.float64)
         parts = {}
         for name in LAYERS:
             found = np.asarray(relit.radiance(layer(relit.tables, name), background=False))
             parts[name] = found
-            rest = rest - found
-        parts["background"] = np.maximum(rest, 0.0)
+        parts["background"] = whole - np.asarray(relit.radiance(background=False))
         for name, found in parts.items():
             rgb = found if channels.wavelengths is None else channels.rgb(found)
             file = f"layer_{name.replace(' ', '_').replace('-', '_')}.png"
@@ -329,6 +327,7 @@ class Session:
     def tell(self, output: Path, notes: list[str]) -> None:
         """Print rates, numbers and files."""
         from diffopt.cli.progress import terminal
+        from diffopt.transfer.pictures import percent
 
         console = terminal()
 
@@ -349,14 +348,14 @@ class Session:
             f"first {seconds['prepare']:.2g} s to prepare and {seconds['compile']:.2g} s to compile"
         )
         if self.layer_means:
-            shares = (f"{name} {100.0 * x:.2g} %" for name, x in self.layer_means.items())
+            shares = (f"{name} {percent(x)}" for name, x in self.layer_means.items())
             say(f"of the light: {', '.join(shares)}")
         for name, found in self.numbers.items():
+            rmse, noise, worst = (percent(found[key]) for key in ("rmse", "noise", "worst"))
             who = "all vertices" if name == "found" else "initial ones"
             say(
-                f"against path tracing, {who}: RMSE {100.0 * found['rmse']:.2g} % of the mean "
-                f"(standard error of the reference {100.0 * found['noise']:.2g} %), SSIM "
-                f"{found['ssim']:.3f}, worst 1 % above {100.0 * found['worst']:.2g} %"
+                f"against path tracing, {who}: RMSE {rmse} of the mean (standard error of the "
+                f"reference {noise}), SSIM {found['ssim']:.3f}, worst 1 % above {worst}"
             )
         if self.interrupted:
             say("interrupted: the animation holds the frames that are finished")

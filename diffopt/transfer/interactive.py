@@ -23,7 +23,7 @@ class Relit:
     """A scene of precomputed transfer, looked at and lit as one likes.
 
     Programs are compiled for the first frame. Those after it are not compiled again, unless a
-    camera sees more of the scene than any before.
+    camera sees more of the scene, or of what is behind it, than any before.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def _bucket(count: int) -> int:
     return max(1024, 1 << max(count - 1, 0).bit_length())
 
 
-def _filled(rows: np.ndarray, size: int, value: float) -> np.ndarray:
+def _filled(rows: np.ndarray, size: int, value: Any) -> np.ndarray:
     more = np.full((size - len(rows), *rows.shape[1:]), value, rows.dtype)
     return np.concatenate([rows, more])
 

@@ -77,11 +77,8 @@ def differences(
     Raises
     ------
     InputError
-        If shapes differ, or no pixel counts.
+        If no pixel counts.
     """
-    if found.shape != expected.shape or found.shape[:2] != surface.shape:
-        shapes = f"{found.shape}, {expected.shape} and {surface.shape}"
-        raise InputError(f"pictures must be of one shape; received {shapes}")
     if not surface.any():
         raise InputError("surface must hold a pixel; received none")
     mean = max(float(expected[surface].mean()), 1e-30)
@@ -315,28 +312,34 @@ def comparison(compared: Compared, *, title: str = "") -> "Figure":
 
 
 def _caption(found: Differences) -> str:
-    words = [f"RMSE {100.0 * found.rmse:.2g} % of the mean"]
+    words = [f"RMSE {percent(found.rmse)} of the mean"]
     if not math.isnan(found.ssim):
         words.append(f"SSIM {found.ssim:.3f}")
-    return ", ".join([*words, f"worst 1 % above {100.0 * found.worst:.2g} %"])
+    return ", ".join([*words, f"worst 1 % above {percent(found.worst)}"])
 
 
 def _noise(found: Differences) -> str:
     if math.isnan(found.noise):
         return ""
-    return f"standard error {100.0 * found.noise:.2g} % of the mean (part of RMSE)"
+    return f"standard error {percent(found.noise)} of the mean (part of RMSE)"
 
 
-def _count(number: int, name: str) -> str:
+def percent(share: float) -> str:
+    """A share in words, to two digits."""
+    return f"{100.0 * share:.0f} %" if share >= 0.1 else f"{100.0 * share:.2g} %"
+
+
+def _count(number: Any, name: str) -> str:
     many = "vertices" if name == "vertex" else f"{name}s"
     return f"{number:,} {name if number == 1 else many}"
 
 
 def _colours(count: int) -> Float[np.ndarray, "n 3"]:
-    """Colours of levels, dark to bright."""
+    """Colours of levels from 0 on, blue to red: the same for a level in all pictures."""
     import matplotlib
 
-    return matplotlib.colormaps["turbo"](np.linspace(0.12, 0.92, max(count, 2)))[:count, :3]
+    places = np.minimum(0.1 + 0.16 * np.arange(count), 0.95)
+    return np.asarray(matplotlib.colormaps["turbo"](places))[:, :3]
 
 
 def _same(picture: np.ndarray, shape: tuple[int, ...]) -> None:
