@@ -52,7 +52,7 @@ def best(
             np.concatenate([a[part], np.repeat(a[part][-1:], short, axis=0)])
             for a in (np.asarray(views, np.float32), *start)
         ]
-        found = _fitted(made, *rows)
+        found = _fitted(made, *(jnp.asarray(a) for a in rows))
         parts.append([np.asarray(a)[: part.stop - first] for a in found])
     alpha, mu, kappa = (np.concatenate(a) for a in zip(*parts, strict=True))
     return alpha[..., None] * np.asarray(weights.tint)[:, None], mu, kappa

@@ -10,20 +10,23 @@ Differentiable in the light and in the lobes.
 
 import functools
 import operator
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from diffopt.kernels import frames
 from diffopt.kernels.frames import dot
 from diffopt.rendering import programs
-from diffopt.scenes.camera import Camera
-from diffopt.transfer import references, slices
+from diffopt.transfer import fields, references
+from diffopt.transfer.fields import Fields, unpacked
 from diffopt.transfer.precompute import Transfer
+from diffopt.transfer.raster import Raster as Raster
+from diffopt.transfer.raster import Seen as Seen
 from diffopt.transfer.references import Reference
 from diffopt.transfer.slices import Slices
 from diffopt.transfer.views import Locator, locator
@@ -118,158 +121,7 @@ def _packed(found: Slices) -> np.ndarray:
     return np.concatenate([found.mu, log, found.alpha], -1).reshape(len(found.kappa), -1)
 
 
-class Seen(NamedTuple):
-    """What a camera sees of a mesh.
-
-    Attributes
-    ----------
-    vertices
-        That are needed, padded with the last one, [n].
-    covered
-        Samples that see the front of a surface, padded with one beyond the last, [P].
-    place
-        Place of every sample among those, P for those that see none, [h w samples^2].
-    corners
-        Places among `vertices` of the corners of their triangles, [P, 3].
-    shares
-        Of the corners, [P, 3].
-    towards
-        Direction of the ray of every sample, [h w samples^2, 3].
-    eye
-        [3].
-    shape
-        Rows and columns of the picture.
-    samples
-        On a side of each pixel.
-    """
-
-    vertices: Int[np.ndarray, " n"]
-    covered: Int[np.ndarray, " P"]
-    place: Int[np.ndarray, " S"]
-    corners: Int[np.ndarray, "P 3"]
-    shares: Float[np.ndarray, "P 3"]
-    towards: Float[np.ndarray, "S 3"]
-    eye: Float[np.ndarray, "3"]
-    shape: tuple[int, int]
-    samples: int
-
-
-class Raster:
-    """Finds what cameras see of a mesh.
-
-    Parameters
-    ----------
-    vertices
-        [V, 3].
-    triangles
-        [G, 3].
-    """
-
-    def __init__(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
-        from embreex.mesh_construction import TriangleMesh
-        from embreex.rtcore_scene import EmbreeScene
-
-        self.triangles = triangles
-        low, high = vertices.min(0), vertices.max(0)
-        self.centre, self.radius = 0.5 * (low + high), float(np.linalg.norm(high - low)) / 2 or 1.0
-        corners = ((vertices - self.centre) / self.radius)[triangles].astype(np.float32)
-        edges = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        self.normal = np.cross(*edges)
-        self.scene = EmbreeScene(robust=True)
-        TriangleMesh(self.scene, corners)
-
-    def __call__(self, camera: Camera, samples: int = 1) -> Seen:
-        """What a camera sees, with samples on a side of each pixel."""
-        rows, columns = camera.shape
-        places = (np.arange(samples) + 0.5) / samples
-        inside = np.stack(np.meshgrid(places, places), -1).reshape(-1, 2)
-        pixel = np.repeat(np.arange(rows * columns), len(inside))
-        origin, towards = camera.rays(pixel, np.tile(inside, (rows * columns, 1)))
-        near = ((origin - self.centre) / self.radius).astype(np.float32)
-        along = towards.astype(np.float32)
-        found = self.scene.run(near, along, output=1)
-        which = found["primID"]
-        front = (self.normal[np.maximum(which, 0)] * along).sum(-1) < 0.0
-        covered = np.flatnonzero((which >= 0) & front)
-        met = self.triangles[which[covered]]
-        used = np.zeros(int(self.triangles.max()) + 1, bool)
-        used[met] = True
-        vertices = np.flatnonzero(used).astype(np.int32)
-        place = np.cumsum(used, dtype=np.int32) - 1
-        u, v = found["u"][covered], found["v"][covered]
-        shares = np.stack([1.0 - u - v, u, v], -1).astype(np.float32)
-        size = _bucket(len(covered))
-        beside = np.full(len(pixel), size, np.int32)
-        beside[covered] = np.arange(len(covered), dtype=np.int32)
-        return Seen(
-            _filled(vertices, _bucket(len(vertices)), 0),
-            _filled(covered.astype(np.int32), size, len(pixel)),
-            beside,
-            _filled(place[met], size, 0),
-            _filled(shares, size, np.float32(1.0 / 3.0)),
-            along,
-            np.asarray(camera.eye, np.float32),
-            (rows, columns),
-            samples,
-        )
-
-
-def _bucket(count: int) -> int:
-    """Sizes that programs are compiled for: powers of two and three quarters of them."""
-    size = 1024
-    while size < count:
-        size *= 2
-    return 3 * size // 4 if 3 * size // 4 >= max(count, 1024) else size
-
-
-def _filled(rows: np.ndarray, size: int, value: Any) -> np.ndarray:
-    more = np.full((size - len(rows), *rows.shape[1:]), value, rows.dtype)
-    return np.concatenate([rows, more])
-
-
-class _Fields(NamedTuple):
-    """Lobes as one array [n] for each number of each lobe: what processors take in vectors."""
-
-    alpha: list[list[Array]]
-    mu: list[tuple[Array, Array, Array]]
-    log_kappa: list[Array]
-
-
-def _fields(rows: Float[Array, "n F"], lobes: int) -> _Fields:
-    """Fields of rows of a table of `lobes` lobes."""
-    columns = rows.T.reshape(lobes, -1, rows.shape[0])
-    return _Fields(
-        [list(lobe[4:]) for lobe in columns],
-        [(lobe[0], lobe[1], lobe[2]) for lobe in columns],
-        [lobe[3] for lobe in columns],
-    )
-
-
-def _between(shares: list[Array], parts: list[_Fields]) -> _Fields:
-    """As `diffopt.transfer.slices.between`."""
-    alphas, axes, logs = [], [], []
-    for k in range(len(parts[0].mu)):
-        alpha = [
-            sum(s * p.alpha[k][c] for s, p in zip(shares, parts, strict=True))
-            for c in range(len(parts[0].alpha[k]))
-        ]
-        weights = slices.shares_by_light([sum(p.alpha[k]) for p in parts], shares)
-        mu = [sum(w * p.mu[k][i] for w, p in zip(weights, parts, strict=True)) for i in range(3)]
-        axes.append(_normalised(mu, parts[0].mu[k]))
-        logs.append(sum(w * p.log_kappa[k] for w, p in zip(weights, parts, strict=True)))
-        alphas.append(alpha)
-    return _Fields(alphas, axes, logs)
-
-
-def _normalised(mu: list[Array], otherwise: tuple[Array, ...]) -> tuple[Array, Array, Array]:
-    square = mu[0] * mu[0] + mu[1] * mu[1] + mu[2] * mu[2]
-    far = square > 1e-12
-    scale = 1.0 / jnp.sqrt(jnp.where(far, square, 1.0))
-    x, y, z = (jnp.where(far, a * scale, b) for a, b in zip(mu, otherwise, strict=True))
-    return x, y, z
-
-
-def _lit(found: _Fields, light: Lighting) -> Float[Array, "n C"]:
+def _lit(found: Fields, light: Lighting) -> Float[Array, "n C"]:
     """Radiance of lobes under light."""
     # Look-ups one after the other: what stacks them takes longer than they do.
     total: list[Any] = []
@@ -289,7 +141,7 @@ def _beside(channels: list[Array]) -> Float[Array, "n C"]:
     return jnp.stack(channels, -1)
 
 
-def _vertex_fields(held: Tables, vertices: Array, wo: Array) -> _Fields:
+def _vertex_fields(held: Tables, vertices: Array, wo: Array) -> Fields:
     """Glossy lobes of vertices in the world towards directions [n, 3]."""
     axes = held.axes[vertices].reshape(-1, 9).T
     tangent, across, normal = axes[0:3], axes[3:6], axes[6:9]
@@ -302,26 +154,26 @@ def _vertex_fields(held: Tables, vertices: Array, wo: Array) -> _Fields:
     parts, shares = [], []
     for corner in range(3):
         row = jnp.where(some, first + place.corners[:, corner], 0)
-        parts.append(_fields(held.views[row].astype(wo.dtype), held.lobes))
+        parts.append(unpacked(held.views[row].astype(wo.dtype), held.lobes))
         shares.append(place.shares[:, corner])
-    found = _absolute(held, _between(shares, parts), held.material[vertices], local)
+    found = _absolute(held, fields.between(shares, parts), held.material[vertices], local)
     turned = []
     for x, y, z in found.mu:
         a, b, c = (x * tangent[i] + y * across[i] + z * normal[i] for i in range(3))
         turned.append((a, b, c))
     alpha = [[jnp.where(some, a, 0.0) for a in each] for each in found.alpha]
-    return _Fields(alpha, turned, found.log_kappa)
+    return Fields(alpha, turned, found.log_kappa)
 
 
-def _absolute(held: Tables, found: _Fields, material: Array, local: Array) -> _Fields:
+def _absolute(held: Tables, found: Fields, material: Array, local: Array) -> Fields:
     """Lobes that are held over the unoccluded ones."""
     over = held.over
     rows, shares = over.places(material, local)
-    each = [_fields(over.rows[rows[:, k]], over.lobes) for k in range(3)]
+    each = [unpacked(over.rows[rows[:, k]], over.lobes) for k in range(3)]
     weights = [shares[:, k] for k in range(3)]
 
     def mixed(values: list[Array]) -> Array:
-        return weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
+        return fields.mixed(weights, values)
 
     alphas, axes, logs = [], [], []
     for k in range(held.lobes):
@@ -333,14 +185,14 @@ def _absolute(held: Tables, found: _Fields, material: Array, local: Array) -> _F
             logs.append(found.log_kappa[k])
             continue
         mean = [mixed([e.mu[lobe][i] for e in each]) for i in range(3)]
-        axis = _normalised(mean, each[0].mu[lobe])
+        axis = fields.normalised(mean, each[0].mu[lobe])
         axes.append(references.out_of(axis, found.mu[k]))
         logs.append(found.log_kappa[k] + mixed([e.log_kappa[lobe] for e in each]))
-    return _Fields(alphas, axes, logs)
+    return Fields(alphas, axes, logs)
 
 
 def _matte(held: Tables, light: Lighting, vertices: Array) -> Float[Array, "n C"]:
-    return _lit(_fields(held.diffuse[vertices], held.lobes), light)
+    return _lit(unpacked(held.diffuse[vertices], held.lobes), light)
 
 
 @eqx.filter_jit
@@ -404,8 +256,8 @@ def _samples(
     def some(args: tuple[Array, Array]) -> Array:
         where, share = args
         weights = [share[:, k] for k in range(3)]
-        parts = [_fields(table[where[:, k]], held.lobes) for k in range(3)]
-        value = _lit(_between(weights, parts), light)
+        parts = [unpacked(table[where[:, k]], held.lobes) for k in range(3)]
+        value = _lit(fields.between(weights, parts), light)
         if matte is not None:
             for k in range(3):
                 value = value + share[:, k : k + 1] * matte[where[:, k]]
@@ -459,7 +311,7 @@ _traced = eqx.filter_jit(_samples)
 
 
 def _picture(*args: Any) -> Array:
-    inside = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(args))
+    inside = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(args))
     return (_quick if args[-1] and not inside else _traced)(*args)
 
 

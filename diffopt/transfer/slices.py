@@ -3,7 +3,7 @@
 Arrays of lobes have axes [..., kind, lobe], see `KINDS`; alpha has the channels last.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ _FAINT = 0.02
 
 
 class Slices(NamedTuple):
-    """Lobes of slices.
+    """Lobes of slices, on the device or on the host.
 
     Attributes
     ----------
@@ -30,9 +30,9 @@ class Slices(NamedTuple):
         Concentrations, [..., 3, K].
     """
 
-    alpha: Float[Array, "..."]
-    mu: Float[Array, "..."]
-    kappa: Float[Array, "..."]
+    alpha: Any
+    mu: Any
+    kappa: Any
 
 
 def from_moments(
@@ -170,6 +170,6 @@ def turned(slices: Slices, cos: Float[Array, "..."], sin: Float[Array, "..."]) -
     return Slices(slices.alpha, mu, slices.kappa)
 
 
-def picked(slices: Slices, rows: Array) -> Slices:
+def picked(slices: Slices, rows: Any) -> Slices:
     """Rows of the first axis."""
     return jax.tree.map(lambda a: a[rows], slices)

@@ -206,13 +206,14 @@ def _reflected(
 ) -> Paths:
     caster = around.caster
     shapes = caster.geometry.typed(np.float32)
-    offset = np.float32(caster.offset)
+    offset = jnp.asarray(caster.offset, jnp.float32)
     parts = []
     for start in range(0, len(paths.row), _ROWS):
         some = paths.some(np.arange(start, min(start + _ROWS, len(paths.row))))
         count = len(some.row)
         size = _ROWS if count > _FEW else _FEW
-        block = [_filled(a, size) for a in (*some[1:], u[start : start + size])]
+        rows = (*some[1:], u[start : start + size])
+        block = [jnp.asarray(_filled(a, size)) for a in rows]
         found = _scattered(shapes, one, term, offset, *block)
         parts.append([np.asarray(a)[:count] for a in found])
     origin, towards, weight = (np.concatenate(a) for a in zip(*parts, strict=True))

@@ -96,15 +96,15 @@ def spiral(count: int) -> Float[np.ndarray, "N 3"]:
 @functools.lru_cache(maxsize=8)
 def directions(rays: int, fine: int) -> Directions:
     """Rays, with about `fine` finer directions for each."""
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     coarse = spiral(rays)
     if fine == 1:
         return Directions(coarse, coarse, np.arange(rays))
     points = spiral(rays * fine)
-    _, cell = cKDTree(coarse).query(points)
+    cell = np.asarray(KDTree(coarse).query(points)[1])
     order = np.argsort(cell, kind="stable")
-    return Directions(coarse, points[order], np.asarray(cell[order]))
+    return Directions(coarse, points[order], cell[order])
 
 
 def fineness(made: Reflector, rays: int) -> int:
