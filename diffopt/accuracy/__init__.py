@@ -13,6 +13,11 @@
 `lobe_studies`            studies of closed forms for lobes; those of fits are in `fitting`
 `shadow_studies`          studies of shadow fields; `shadow_scenes`: what they are judged on
 `shadow_benchmarks`       benchmarks of receivers, samples and tables of shadow fields
+`transfer_studies`        studies of precomputed transfer; `transfer_scenes`: what they are judged
+                          on, `transfer_truth`: by what, `transfer_runs`: pictures beside it
+`transfer_estimators`     slices from shared rays, and from paths of their own
+`transfer_comparison`     adaptive and even tessellations, one lobe and two
+`transfer_benchmarks`     benchmarks of relighting and of slices
 `validity`                the scalar models against rigorous optics
 `measurement`             cost of a compiled function
 `comparison`              every method on one job, in one run

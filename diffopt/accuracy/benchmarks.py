@@ -42,6 +42,8 @@ NAMES: dict[str, str] = {
     "shadow.table": "diffopt.accuracy.shadow_benchmarks:TABLE",
     "taylor.gather": "diffopt.accuracy.diffraction_benchmarks:TAYLOR_GATHER",
     "taylor.tables": "diffopt.accuracy.diffraction_benchmarks:TAYLOR_TABLES",
+    "transfer.relight": "diffopt.accuracy.transfer_benchmarks:RELIGHT",
+    "transfer.slices": "diffopt.accuracy.transfer_benchmarks:SLICES",
 }
 SIZES = ("small", "full")
 

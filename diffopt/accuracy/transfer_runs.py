@@ -21,7 +21,8 @@ from diffopt.scenes.channels import Channels
 from diffopt.transfer import precompute, relighting
 from diffopt.transfer.lighting import Lighting, prepare
 from diffopt.transfer.precompute import Transfer
-from diffopt.transfer.relighting import Seen, Tables
+from diffopt.transfer.raster import Seen
+from diffopt.transfer.relighting import Tables
 from diffopt.transfer.settings import TransferSettings
 
 
@@ -175,7 +176,8 @@ def frame_s(
 ) -> float:
     """Median seconds of a frame, its light turned a little each time, without compilation."""
     turns = [_turn(0.1 * k) for k in range(repeats + 1)]
-    at = at._replace(**{k: jnp.asarray(getattr(at, k)) for k in ("vertices", "corners", "shares")})
+    arrays = {n: getattr(at, n) for n in at._fields if isinstance(getattr(at, n), np.ndarray)}
+    at = at._replace(**{name: jnp.asarray(array) for name, array in arrays.items()})
     times = []
     for turn in turns:
         now = light.turned(turn)
@@ -211,7 +213,7 @@ def score(image: Float[np.ndarray, "h w"], truth: Reference, front: np.ndarray) 
     whole[pixels] = value
     own = np.zeros(image.size)
     own[pixels] = image.reshape(-1)[pixels]
-    similar = structural_similarity(
+    similar: Any = structural_similarity(
         whole.reshape(image.shape), own.reshape(image.shape), data_range=float(value.max())
     )
     return Score(

@@ -8,6 +8,7 @@ import typer
 
 from diffopt.cli.comparing_levels import rendering
 from diffopt.cli.comparing_shadows import shadows
+from diffopt.cli.comparing_transfer import transfer
 
 app = typer.Typer(
     help="Compare all ways to compute the same: set-up, run time, memory, measured error.",
@@ -22,6 +23,7 @@ def _root() -> None:
 
 app.command("rendering")(rendering)
 app.command("shadows")(shadows)
+app.command("transfer")(transfer)
 
 
 @app.command("diffraction")

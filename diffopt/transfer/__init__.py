@@ -13,6 +13,7 @@ are needed (after the glossy-transfer paper). Light averaged over the lobes make
 `slices`          lobes of a view from moments, between views, their distances
 `fits`            lobes of the unoccluded material; `references`: slices over them
 `angular`         views of a vertex, as many as it needs
+`path_sampling`   slices by paths of their own, for comparison
 `spatial`         how slices at the corners of triangles differ
 `tessellation`    triangles split in four; `mesh_edges`, `mesh_checks`
 `store`           finished transfer in zarr: `packing`, `zarrays`
