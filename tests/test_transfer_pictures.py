@@ -110,6 +110,7 @@ def test_frames_after_the_first_compile_nothing(relit):
 def test_a_frame_is_the_picture_of_the_functions(relit, held, scene):
     tables = transfer.tables(held)
     light = transfer.prepare(scene.lights, scene.channels)
+    assert CAMERA.eye[2] > 0.0  # no back of the plane is seen
     seen = transfer.Raster(held.mesh.vertices, held.triangles)(CAMERA, 2)
     behind = Background(scene.lights, scene.channels)(jnp.asarray(seen.towards))
     expected = transfer.picture(tables, light, seen, background=behind)
@@ -145,6 +146,14 @@ def test_a_smaller_view_does_not_leave_the_larger_one_behind(relit, held, scene)
     relit.look(far)
     expected = transfer.Relit(held, scene, far, samples=2).frame()
     np.testing.assert_allclose(relit.frame(), expected, rtol=1e-5, atol=1e-6)
+
+
+def test_backs_are_dark(relit):
+    below = dataclasses.replace(CAMERA, eye=(0.4, -4.6, -2.4))
+    relit.look(below)
+    frame = relit.frame()
+    assert not frame[13:17, 18:22].any()
+    assert frame[-1].min() > 0.1
 
 
 def test_layers_add_up(relit):
@@ -214,7 +223,7 @@ def test_lights_near_the_scene_become_distant():
     np.testing.assert_allclose(towards, [0.0, 0.6, 0.8], atol=1e-6)
     assert around.is_map
     lit = transfer.prepare([around], RGB)
-    mean = lit.radiance(jnp.asarray([0.0, 0.0, 1.0]), jnp.zeros(()))
+    mean = lit.radiance(jnp.asarray([0.0, 0.0, 1.0], jnp.float32), jnp.zeros((), jnp.float32))
     # Solid angle of the lamp over that of the sphere; its edge falls on pixels of 1.4 degrees,
     # which are sampled 16 times each.
     share = 0.25 / 100.0 / (4.0 * np.pi)

@@ -112,7 +112,7 @@ def command(
         levels=levels,
         quiet=quiet,
     )
-    session = relight_output.Session(transfer, lit, camera, settings, scene)
+    session = relight_output.Session(transfer, lit, camera, settings, Path(scene).stem)
     if alone:
         session.save(output)
     else:
@@ -214,7 +214,7 @@ def _lobes(light: Any, notes: list[str]) -> Any:
 
     if not isinstance(light, Environment) or not light.is_map:
         return light
-    image = np.asarray(light.radiance * light.scale, np.float32)
+    image = np.asarray(light.radiance, np.float32) * np.float32(light.scale)
     rows, columns = image.shape[:2]
     step = max(rows // _ROWS, 1)
     if step > 1:

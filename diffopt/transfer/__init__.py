@@ -24,6 +24,8 @@ are needed (after the glossy-transfer paper). Light averaged over the lobes make
 `distant`         lights with closed forms
 `infinity`        lights of a scene as if from infinity
 `backgrounds`     what is seen past the surfaces
+`raster`          what a camera sees of the mesh
+`fields`          lobes as one array for each of their numbers
 `relighting`      radiance of vertices and of pictures
 `interactive`     relighting in a loop
 `layers`          light of one kind of path
@@ -39,7 +41,7 @@ from diffopt.transfer.lighting import HarmonicSettings as HarmonicSettings
 from diffopt.transfer.lighting import prepare as prepare
 from diffopt.transfer.precompute import Transfer as Transfer
 from diffopt.transfer.pyramid import PyramidSettings as PyramidSettings
-from diffopt.transfer.relighting import Raster as Raster
+from diffopt.transfer.raster import Raster as Raster
 from diffopt.transfer.relighting import Tables as Tables
 from diffopt.transfer.relighting import picture as picture
 from diffopt.transfer.relighting import tables as tables

@@ -41,8 +41,8 @@ class Background(eqx.Module):
             elif isinstance(light, lights.Environment) and light.is_map:
                 self.image = Map(light, channels, jnp.float32)
             elif isinstance(light, lights.Environment):
-                value = channels.values("radiance", light.radiance) * light.scale
-                self.even = self.even + value.astype(jnp.float32)
+                value = channels.values("radiance", light.radiance).astype(jnp.float32)
+                self.even = self.even + value * light.scale.astype(jnp.float32)
 
     @eqx.filter_jit
     def __call__(

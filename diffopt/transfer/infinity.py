@@ -144,8 +144,8 @@ def _surroundings(
     if not bright and around is None:
         return lights.Environment(even)
     if not bright and isinstance(around, lights.Environment) and not around.is_map:
-        value = scene.channels.values("radiance", around.radiance) * around.scale
-        return lights.Environment(np.asarray(value) + even)
+        value = np.asarray(scene.channels.values("radiance", around.radiance))
+        return lights.Environment(value * float(around.scale) + even)
     behind = Background([] if around is None else [around], scene.channels)
     fine = pixel_directions(_SAMPLES * _ROWS, 2 * _SAMPLES * _ROWS).reshape(-1, 3)
     values = np.asarray(behind(jnp.asarray(fine, jnp.float32))) + even.astype(np.float32)

@@ -17,6 +17,7 @@ from diffopt.scenes.scene import Scene
 from diffopt.transfer import infinity, lighting, relighting
 from diffopt.transfer.backgrounds import Background
 from diffopt.transfer.precompute import Transfer
+from diffopt.transfer.raster import Raster
 
 
 class Relit:
@@ -58,7 +59,7 @@ class Relit:
         settings: Any = None,
         samples: int = 1,
         per_pixel: bool = True,
-        raster: relighting.Raster | None = None,
+        raster: Raster | None = None,
     ) -> None:
         if isinstance(samples, bool) or not isinstance(samples, int) or not 1 <= samples <= 16:
             raise InputError(f"samples must be a whole number from 1 to 16; received {samples!r}")
@@ -67,7 +68,7 @@ class Relit:
         found = infinity.from_infinity(scene)
         self.notes = found.notes
         self.tables = relighting.tables(transfer)
-        self.raster = raster or relighting.Raster(transfer.mesh.vertices, transfer.triangles)
+        self.raster = raster or Raster(transfer.mesh.vertices, transfer.triangles)
         self._sizes = [0, 0, 0]
         self._stops = 0.0
         self.light(found.scene.lights)
@@ -105,6 +106,11 @@ class Relit:
         self.camera = camera
         count, rows = len(seen.towards), len(seen.covered)
         past = np.flatnonzero(seen.place == rows).astype(np.int32)
+        # The back of a surface hides the background and is dark: none looks into a closed body.
+        from_eye = (np.asarray(camera.eye) - self.raster.centre) / self.raster.radius
+        origins = np.broadcast_to(from_eye.astype(np.float32), (len(past), 3)).copy()
+        if len(past):
+            past = past[self.raster.scene.run(origins, seen.towards[past]) < 0]
         size = self._size(1, rows)
         fields = {
             "vertices": _filled(seen.vertices, self._size(0, len(seen.vertices)), 0),

@@ -15,7 +15,7 @@ from diffopt.errors import InputError
 from diffopt.scenes.camera import Camera
 from diffopt.transfer import tessellation
 from diffopt.transfer.precompute import Transfer
-from diffopt.transfer.relighting import Raster
+from diffopt.transfer.raster import Raster
 from diffopt.transfer.views import hemisphere
 
 if TYPE_CHECKING:
