@@ -13,6 +13,7 @@
 `scene`           ``diffopt scene``: scene files checked, and examples
 `render`          ``diffopt render``: their pictures
 `precompute`      ``diffopt precompute``: transfer into a store (`precompute_tables`)
+`relight`         ``diffopt relight``: pictures by it (`relight_output`)
 `shadow`          ``diffopt shadow``: a deforming object and its soft shadow (`film`)
 `inspection`      ``diffopt samples`` and ``diffopt info``
 `limits`          refusal of files that claim to be enormous
