@@ -63,3 +63,13 @@ def hemisphere_rule(nodes=200, turns=400):
     d = np.stack([across * np.cos(turn), across * np.sin(turn), z[:, None] + 0 * turn], -1)
     solid = np.repeat(weight, turns) * 2.0 * np.pi / turns
     return d.reshape(-1, 3), solid
+
+
+def grid(size, cells):
+    """A square in the xy plane in cells of two triangles, facing z."""
+    line = np.linspace(-0.5 * size, 0.5 * size, cells + 1)
+    x, y = (a.reshape(-1) for a in np.meshgrid(line, line))
+    corner = np.add.outer((cells + 1) * np.arange(cells), np.arange(cells)).reshape(-1)
+    lower = np.stack([corner, corner + 1, corner + cells + 2], 1)
+    upper = np.stack([corner, corner + cells + 2, corner + cells + 1], 1)
+    return meshfiles.build(np.stack([x, y, 0.0 * x], 1), np.concatenate([lower, upper]))

@@ -9,6 +9,7 @@ Differentiable in the light and in the lobes.
 """
 
 import functools
+import math
 import operator
 from typing import Any, Protocol, runtime_checkable
 
@@ -118,7 +119,8 @@ def tables(transfer: Transfer, dtype: Any = np.float32) -> Tables:
 
 def _packed(found: Slices) -> np.ndarray:
     log = np.log(np.maximum(found.kappa, 1e-6))[..., None]
-    return np.concatenate([found.mu, log, found.alpha], -1).reshape(len(found.kappa), -1)
+    each = np.concatenate([found.mu, log, found.alpha], -1)
+    return each.reshape(len(each), math.prod(each.shape[1:]))  # there may be no rows
 
 
 def _lit(found: Fields, light: Lighting) -> Float[Array, "n C"]:
@@ -222,7 +224,7 @@ def vertex_radiance(
 ) -> Float[Array, "n C"]:
     """Radiance of vertices towards directions in the world, as for `vertex_lobes`."""
     total: Any = 0.0
-    if held.matte:
+    if held.matte or not held.glossy:  # zeros of the light's channels where all is black
         total = _matte(held, light, vertices)
     if held.glossy:
         total = total + _lit(_vertex_fields(held, vertices, wo), light)
