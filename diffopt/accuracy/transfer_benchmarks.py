@@ -108,17 +108,16 @@ def _relight(size: str) -> list[Entry]:
             f"{count:,} vertices x 3 lobes",
             count,
             "vertex",
-            rate=True,
         )
         for name, light in lights
     ]
-    pixels = at.shape[0] * at.shape[1]
+    pixels = int((np.asarray(at.place) < len(at.covered)).sum())
     return found + [
         Entry(
             f"pixels, {name}",
             frame,
             (tables, light),
-            f"512x512 pixels, {count:,} vertices",
+            f"512x512 pixels, {pixels:,} of the surface",
             pixels,
             "pixel",
             rate=True,

@@ -224,7 +224,7 @@ def _prepared(solved: _Solved, problem: Problem, way: str, count: int, seed: int
             return jax.block_until_ready(joined), rays + second
 
         return shared
-    kind: Any = way.split(", ")[1]
+    kind = way.split(", ")[1]
     sampler = path_sampling.PathSampler(solved.around, solved.number, kind)
 
     def drawn() -> Any:

@@ -9,7 +9,7 @@ begun (eq. 15), and concentrations come from the exact inverse.
 """
 
 import functools
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -31,7 +31,6 @@ from diffopt.transfer.slices import Slices
 from diffopt.transfer.tracing import Frames, Surroundings
 from diffopt.transfer.views import hemisphere
 
-Weighing = Literal["lobes", "reflectance"]
 # Paths that one compiled program follows.
 _BLOCK = 2**15
 # Directions of the rule by which lobes of the materials are found.
@@ -74,8 +73,8 @@ class PathSampler:
     number
         Which of its reflectors the vertices have; it must have a glossy rest.
     weights
-        "lobes": a lobe stands for the reflectance, as in the paper, which costs accuracy at
-        grazing views; "reflectance": paths are weighed by what the reflectance is over the
+        "lobes": a lobe stands for the reflectance, as in the paper, which leaves an error however
+        many paths there are; "reflectance": paths are weighed by what the reflectance is over the
         lobe, right on average, but with rare heavy paths where the lobe is too narrow.
 
     Raises
@@ -84,7 +83,7 @@ class PathSampler:
         For a material without a glossy rest, or another word for the weights.
     """
 
-    def __init__(self, around: Surroundings, number: int, weights: Weighing = "lobes") -> None:
+    def __init__(self, around: Surroundings, number: int, weights: str = "lobes") -> None:
         self.exact = checks.choice("weights", weights, ("lobes", "reflectance")) == "reflectance"
         self.around, self.number = around, number
         if around.reflectors[number].glossy is None:
