@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import math
 import time
 from collections.abc import Callable, Iterator
 from typing import Protocol, runtime_checkable
@@ -23,6 +24,10 @@ from diffopt.transfer.spatial import Known
 from diffopt.transfer.tessellation import Tessellation
 from diffopt.transfer.tracing import Frames, Surroundings
 from diffopt.transfer.views import hemisphere
+
+
+# Longest side of a triangle to begin with, over the radius of the scene.
+_WIDEST = 0.25
 
 
 @runtime_checkable
@@ -143,8 +148,13 @@ def surroundings(scene: Scene, backend: str = "embree") -> Surroundings:
     return Surroundings(raycasting.caster(geometry, backend), found, number[geometry.owner])
 
 
-def begun(around: Surroundings) -> Tessellation:
-    """The triangles of a scene, labelled by their reflectors."""
+def begun(around: Surroundings, longest: float = math.inf) -> Tessellation:
+    """The triangles of a scene, labelled by their reflectors.
+
+    Those with a side longer than so many median sides, or than a quarter of the scene's radius,
+    are halved until there are none: the corners of a wide floor see nothing of what stands in
+    its middle.
+    """
     shapes = around.caster.geometry.world
     triangles, spheres, discs = shapes.counts
     if spheres + discs:
@@ -152,13 +162,34 @@ def begun(around: Surroundings) -> Tessellation:
             f"transfer takes triangles; the scene has {spheres} spheres and {discs} discs: use "
             "meshes in their place, as diffopt.scenes.models makes them"
         )
-    return tessellation.begin(
+    radius = around.caster.geometry.radius if math.isfinite(longest) else math.inf
+    mesh = tessellation.begin(
         np.asarray(shapes.vertices),
         np.asarray(shapes.normals),
         np.asarray(shapes.tangents),
         np.asarray(shapes.faces),
         around.owner[:triangles],
     )
+    sides = _sides(mesh, np.arange(len(mesh.faces)))
+    usual = float(np.median(sides)) if len(sides) else 0.0
+    limit = min(longest * usual, _WIDEST * radius)
+    while len(wide := _longer(mesh, limit)):
+        mesh = tessellation.split(mesh, wide)
+    if len(mesh.faces) == len(tessellation.leaves(mesh)):
+        return mesh
+    faces, origin = tessellation.closed(mesh)
+    return tessellation.begin(mesh.vertices, mesh.normals, mesh.tangents, faces, mesh.label[origin])
+
+
+def _longer(mesh: Tessellation, limit: float) -> np.ndarray:
+    """Leaves with a side longer than a limit."""
+    leaves = tessellation.leaves(mesh)
+    return leaves[(_sides(mesh, leaves) > limit).any(-1)]
+
+
+def _sides(mesh: Tessellation, faces: np.ndarray) -> Float[np.ndarray, "n 3"]:
+    corners = mesh.vertices[mesh.faces[faces]]
+    return np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)
 
 
 def frames(mesh: Tessellation) -> Float[np.ndarray, "V 3 3"]:
@@ -230,7 +261,7 @@ class _Run:
     ) -> None:
         self.settings, self.batches, self.report = settings, batches, report
         self.around = surroundings(scene, backend)
-        self.mesh = begun(self.around)
+        self.mesh = begun(self.around, self.settings.longest)
         if not len(self.mesh.faces):
             raise InputError("the scene has no triangle with an area")
         self.threads = threads or workers.count()

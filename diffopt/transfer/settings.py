@@ -37,6 +37,10 @@ class TransferSettings:
         How often a triangle may be split in four, 0 to 8.
     least_area
         Triangles below this share of the scene's area are not split, in [0, 1).
+    longest
+        Sides of triangles to begin with, over the median side, in [1, 1e6]: longer ones are halved
+        before anything is compared, as what stands in the middle of a wide floor is not seen from
+        its corners.
     round_faces
         Triangles split in a round, the worst first.
     most_vertices
@@ -57,6 +61,7 @@ class TransferSettings:
     finest: int = 4
     splits: int = 5
     least_area: float = 0.0
+    longest: float = 16.0
     round_faces: int = 4000
     most_vertices: int = 200_000
     compared: int = 2
@@ -67,6 +72,7 @@ class TransferSettings:
         """Check the ranges."""
         _number("tolerance", self.tolerance, 0.0, 1.0, open_low=True)
         _number("least_area", self.least_area, 0.0, 1.0)
+        _number("longest", self.longest, 1.0, 1e6)
         for name, low, high in (
             ("rays", 64, 65536),
             ("lobes", 1, 8),
