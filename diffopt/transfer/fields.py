@@ -32,8 +32,8 @@ def unpacked(rows: Float[Array, "n F"], lobes: int) -> Fields:
     )
 
 
-def between(shares: list[Array], parts: list[Fields]) -> Fields:
-    """As `diffopt.transfer.slices.between`."""
+def between(shares: list[Array], parts: list[Fields], offsets: int = 0) -> Fields:
+    """As `diffopt.transfer.slices.between`; the first lobes may have offsets in place of axes."""
     alphas, axes, logs = [], [], []
     for k in range(len(parts[0].mu)):
         alpha = [
@@ -42,7 +42,7 @@ def between(shares: list[Array], parts: list[Fields]) -> Fields:
         light = [functools.reduce(operator.add, p.alpha[k]) for p in parts]
         weights = slices.shares_by_light(light, shares)
         mu = [mixed(weights, [p.mu[k][i] for p in parts]) for i in range(3)]
-        axes.append(normalised(mu, parts[0].mu[k]))
+        axes.append(normalised(mu, parts[0].mu[k]) if k >= offsets else tuple(mu))
         logs.append(mixed(weights, [p.log_kappa[k] for p in parts]))
         alphas.append(alpha)
     return Fields(alphas, axes, logs)

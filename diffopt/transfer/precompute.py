@@ -25,7 +25,6 @@ from diffopt.transfer.tessellation import Tessellation
 from diffopt.transfer.tracing import Frames, Surroundings
 from diffopt.transfer.views import hemisphere
 
-
 # Longest side of a triangle to begin with, over the radius of the scene.
 _WIDEST = 0.25
 

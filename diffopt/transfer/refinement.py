@@ -136,9 +136,8 @@ class Refinement:
         number = reflector[pairs[:, 0]]
         for k in np.unique(number):
             rows, own = np.flatnonzero(number == k), measures[k]
-            bent = spatial.bending(over, int(k), float(own.scale[-1]))
             out[rows] = spatial.differences(
-                known, over, int(k), pairs[rows], own.scale, own.matte, bent, most
+                known, over, int(k), pairs[rows], own.scale, own.matte, most
             )
         return out
 

@@ -1,9 +1,9 @@
 """Precomputed transfer under light: radiance of vertices and of pictures, in one jitted function.
 
 Slices between the views are interpolated at the vertices of what a camera sees, in their local
-frames; between the vertices lobes are interpolated in the world, at every pixel, or radiance
-itself is (the glossy-transfer paper, section 6.2). The light may be anything with
-``radiance(mu, kappa)``, see `diffopt.transfer.lighting`.
+frames. Between the vertices lobes are interpolated at every pixel, as they differ from those of
+the unoccluded material, or radiance itself is (the glossy-transfer paper, section 6.2). The light
+may be anything with ``radiance(mu, kappa)``, see `diffopt.transfer.lighting`.
 
 Differentiable in the light and in the lobes.
 """
@@ -11,7 +11,7 @@ Differentiable in the light and in the lobes.
 import functools
 import math
 import operator
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -28,7 +28,7 @@ from diffopt.transfer.fields import Fields, unpacked
 from diffopt.transfer.precompute import Transfer
 from diffopt.transfer.raster import Raster as Raster
 from diffopt.transfer.raster import Seen as Seen
-from diffopt.transfer.references import Reference
+from diffopt.transfer.references import Axis, Reference
 from diffopt.transfer.slices import Slices
 from diffopt.transfer.views import Locator, locator
 
@@ -143,12 +143,19 @@ def _beside(channels: list[Array]) -> Float[Array, "n C"]:
     return jnp.stack(channels, -1)
 
 
-def _vertex_fields(held: Tables, vertices: Array, wo: Array) -> Fields:
-    """Glossy lobes of vertices in the world towards directions [n, 3]."""
-    axes = held.axes[vertices].reshape(-1, 9).T
-    tangent, across, normal = axes[0:3], axes[3:6], axes[6:9]
-    x, y, z = wo[:, 0], wo[:, 1], wo[:, 2]
-    local = frames.direction(*(a[0] * x + a[1] * y + a[2] * z for a in (tangent, across, normal)))
+class _Held(NamedTuple):
+    """Lobes of vertices over the unoccluded ones, those, and the local frames."""
+
+    found: Fields
+    over: Fields
+    axes: tuple[Array, Array, Array]
+
+
+def _held(held: Tables, vertices: Array, wo: Array) -> _Held:
+    """Glossy lobes of vertices in the local frames, towards directions in the world [n, 3]."""
+    columns = held.axes[vertices].reshape(-1, 9).T
+    axes = columns[0:3], columns[3:6], columns[6:9]
+    local = _into(axes, wo)
     level = held.level[vertices]
     place = held.find(local, jnp.maximum(level, 0))
     first = held.first[vertices]
@@ -158,18 +165,28 @@ def _vertex_fields(held: Tables, vertices: Array, wo: Array) -> Fields:
         row = jnp.where(some, first + place.corners[:, corner], 0)
         parts.append(unpacked(held.views[row].astype(wo.dtype), held.lobes))
         shares.append(place.shares[:, corner])
-    found = _absolute(held, fields.between(shares, parts), held.material[vertices], local)
-    turned = []
-    for x, y, z in found.mu:
-        a, b, c = (x * tangent[i] + y * across[i] + z * normal[i] for i in range(3))
-        turned.append((a, b, c))
+    found = fields.between(shares, parts)
     alpha = [[jnp.where(some, a, 0.0) for a in each] for each in found.alpha]
-    return Fields(alpha, turned, found.log_kappa)
+    over = _unoccluded(held.over, held.material[vertices], local)
+    return _Held(found._replace(alpha=alpha), over, axes)
 
 
-def _absolute(held: Tables, found: Fields, material: Array, local: Array) -> Fields:
-    """Lobes that are held over the unoccluded ones."""
-    over = held.over
+def _into(axes: tuple[Array, Array, Array], wo: Array) -> Float[Array, "n 3"]:
+    """Directions [n, 3] in local frames."""
+    x, y, z = wo[:, 0], wo[:, 1], wo[:, 2]
+    return frames.direction(*(a[0] * x + a[1] * y + a[2] * z for a in axes))
+
+
+def _out_of(axes: tuple[Array, Array, Array], local: Axis) -> Axis:
+    """Directions of local frames in the world."""
+    x, y, z = local
+    t, b, n = axes
+    first, second, third = (x * t[i] + y * b[i] + z * n[i] for i in range(3))
+    return first, second, third
+
+
+def _unoccluded(over: Reference, material: Array, local: Array) -> Fields:
+    """Unoccluded lobes in local frames."""
     rows, shares = over.places(material, local)
     each = [unpacked(over.rows[rows[:, k]], over.lobes) for k in range(3)]
     weights = [shares[:, k] for k in range(3)]
@@ -177,20 +194,83 @@ def _absolute(held: Tables, found: Fields, material: Array, local: Array) -> Fie
     def mixed(values: list[Array]) -> Array:
         return fields.mixed(weights, values)
 
-    alphas, axes, logs = [], [], []
-    for k in range(held.lobes):
-        lobe = k % over.lobes
-        whole = [mixed([e.alpha[lobe][c] for e in each]) for c in range(len(found.alpha[k]))]
-        alphas.append([a * b for a, b in zip(found.alpha[k], whole, strict=True)])
-        if k >= over.lobes:
-            axes.append(found.mu[k])
-            logs.append(found.log_kappa[k])
-            continue
-        mean = [mixed([e.mu[lobe][i] for e in each]) for i in range(3)]
-        axis = fields.normalised(mean, each[0].mu[lobe])
-        axes.append(references.out_of(axis, found.mu[k]))
-        logs.append(found.log_kappa[k] + mixed([e.log_kappa[lobe] for e in each]))
-    return Fields(alphas, axes, logs)
+    count, channels = range(over.lobes), range(len(each[0].alpha[0]))
+    return Fields(
+        [[mixed([e.alpha[k][c] for e in each]) for c in channels] for k in count],
+        [
+            fields.normalised([mixed([e.mu[k][i] for e in each]) for i in range(3)], each[0].mu[k])
+            for k in count
+        ],
+        [mixed([e.log_kappa[k] for e in each]) for k in count],
+    )
+
+
+def _weighed(found: Fields, over: Fields) -> list[list[Array]]:
+    """Integrals of lobes that are held over those of the unoccluded ones."""
+    lobes = len(over.alpha)
+    return [
+        [a * b for a, b in zip(each, over.alpha[k % lobes], strict=True)]
+        for k, each in enumerate(found.alpha)
+    ]
+
+
+def _vertex_fields(held: Tables, vertices: Array, wo: Array) -> Fields:
+    """Glossy lobes of vertices in the world towards directions [n, 3]."""
+    found, over, axes = _held(held, vertices, wo)
+    mu, log = list(found.mu), list(found.log_kappa)
+    for k, axis in enumerate(over.mu):
+        mu[k] = references.out_of(axis, mu[k])
+        log[k] = log[k] + over.log_kappa[k]
+    return Fields(_weighed(found, over), [_out_of(axes, m) for m in mu], log)
+
+
+def _vertex_rows(held: Tables, vertices: Array, wo: Array) -> Float[Array, "n F"]:
+    """What pixels interpolate: lobes over the unoccluded ones, and where and how vertices lie.
+
+    Of direct light the axis is held as its offset from that of the unoccluded lobe, in the world.
+    """
+    found, over, axes = _held(held, vertices, wo)
+    rows = []
+    for k, (mu, log, alpha) in enumerate(zip(found.mu, found.log_kappa, found.alpha, strict=True)):
+        if k < len(over.mu):
+            there = references.out_of(over.mu[k], mu)
+            x, y, z = (a - b for a, b in zip(there, over.mu[k], strict=True))
+            mu = (x, y, z)
+        rows.append(jnp.stack([*_out_of(axes, mu), log, *alpha]))
+    frame = jnp.concatenate([held.position[vertices].T, *(axes[k] for k in (0, 2))])
+    return jnp.concatenate([*rows, frame]).T
+
+
+def _pixel_fields(
+    held: Tables, rows: list[Array], shares: list[Array], material: Array, eye: Array
+) -> Fields:
+    """Glossy lobes of samples from the rows [n, F] of their corners.
+
+    The unoccluded lobes are those of each sample's own normal and direction: a surface without
+    occluders is shaded as if it were not made of triangles.
+    """
+    parts = [unpacked(row[:, :-9], held.lobes) for row in rows]
+    frame = fields.mixed(shares, [row[:, -9:].T for row in rows])
+    away = [eye[i] - frame[i] for i in range(3)]
+    x, y, z = fields.normalised(away, (frame[0] * 0.0, frame[0] * 0.0, frame[0] * 0.0 + 1.0))
+    first = (rows[0][:, -3], rows[0][:, -2], rows[0][:, -1])
+    normal = fields.normalised([frame[6], frame[7], frame[8]], first)
+    lean = sum(n * frame[3 + i] for i, n in enumerate(normal))
+    flat = [frame[3 + i] - lean * n for i, n in enumerate(normal)]
+    # Any tangent will do where there is none: there only round lobes look alike on both sides.
+    other = frames.tangents(frames.direction(*normal))[0].T
+    tangent = fields.normalised(flat, (other[0], other[1], other[2]))
+    (a, b, c), (p, q, r) = normal, tangent
+    across = (b * r - c * q, c * p - a * r, a * q - b * p)
+    axes = (jnp.stack(tangent), jnp.stack(across), jnp.stack(normal))
+    over = _unoccluded(held.over, material, _into(axes, frames.direction(x, y, z)))
+    found = fields.between(shares, parts, held.over.lobes)
+    mu, log = list(found.mu), list(found.log_kappa)
+    for k, axis in enumerate(over.mu):
+        there = _out_of(axes, axis)
+        mu[k] = fields.normalised([u + v for u, v in zip(there, mu[k], strict=True)], there)
+        log[k] = log[k] + over.log_kappa[k]
+    return Fields(_weighed(found, over), mu, log)
 
 
 def _matte(held: Tables, light: Lighting, vertices: Array) -> Float[Array, "n C"]:
@@ -247,19 +327,15 @@ def _samples(
         each = vertex_radiance(held, light, vertices, wo)
         parts = [shares[:, k : k + 1] * each[corners[:, k]] for k in range(3)]
         return parts[0] + parts[1] + parts[2]
-    found = _vertex_fields(held, vertices, wo)
-    rows = [
-        jnp.stack([*m, g, *a])
-        for m, g, a in zip(found.mu, found.log_kappa, found.alpha, strict=True)
-    ]
-    table = jnp.concatenate(rows).T
+    table = _vertex_rows(held, vertices, wo)
+    material = held.material[vertices]
     matte = _matte(held, light, vertices) if held.matte else None
 
     def some(args: tuple[Array, Array]) -> Array:
         where, share = args
         weights = [share[:, k] for k in range(3)]
-        parts = [unpacked(table[where[:, k]], held.lobes) for k in range(3)]
-        value = _lit(fields.between(weights, parts), light)
+        rows = [table[where[:, k]] for k in range(3)]
+        value = _lit(_pixel_fields(held, rows, weights, material[where[:, 0]], eye), light)
         if matte is not None:
             for k in range(3):
                 value = value + share[:, k : k + 1] * matte[where[:, k]]

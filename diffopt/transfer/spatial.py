@@ -2,8 +2,9 @@
 
 The mean distance of the slices of corresponding views (the glossy-transfer paper, section 4.3),
 exact, over the norm of the unoccluded slices. Views correspond that the smallest rotation takes
-into each other that takes one normal into the other, whatever the tangents. To that comes what
-interpolation between bent normals makes of slices that see nothing but light.
+into each other that takes one normal into the other, whatever the tangents. Compared, as
+interpolated, is how slices differ from those of the unoccluded material: a surface that is bent
+but sees nothing of itself has no difference.
 """
 
 import functools
@@ -14,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from diffopt.kernels import frames
 from diffopt.transfer import references, slices
 from diffopt.transfer.references import Reference, Unoccluded
 from diffopt.transfer.slices import Slices
@@ -54,10 +56,9 @@ def differences(
     pairs: Int[np.ndarray, "E 2"],
     scale: Float[np.ndarray, " L"],
     matte: float,
-    bent: tuple[np.ndarray, np.ndarray],
     most: int,
 ) -> Float[np.ndarray, " E"]:
-    """Half the difference of pairs of vertices of one material, and what bent normals add.
+    """Half the difference of pairs of vertices of one material.
 
     Parameters
     ----------
@@ -73,8 +74,6 @@ def differences(
         Mean squared norm of the unoccluded slices of the views up to each level.
     matte
         Squared norm of the unoccluded diffuse slice.
-    bent
-        Squared difference from angles between normals alone, see `bending`.
     most
         Level of views that are compared at most.
     """
@@ -94,8 +93,7 @@ def differences(
         square[part] += np.asarray(_matte(near, far, angle))[: len(one[part])]
     whole = np.where(common >= 0, scale[np.maximum(common, 0)], 0.0) + matte
     np.divide(square, whole, out=out, where=whole > 0.0)
-    cos = (known.axes[one][:, 2] * known.axes[two][:, 2]).sum(-1)
-    return np.sqrt(0.25 * out + np.interp(np.arccos(np.clip(cos, -1.0, 1.0)), *bent))
+    return 0.5 * np.sqrt(out)
 
 
 def surprises(
@@ -153,10 +151,10 @@ def _halfway(
         part = slice(start, start + step)
         size = len(vertices[part])
         own, two, turned = (_filled(a[part], step) for a in (vertices, ends, turn))
-        there, corners, shares = _seen_from(find, views, turned, known.level[two].astype(np.int32))
+        corners, shares = _seen_from(find, views, turned, known.level[two].astype(np.int32))
         near = _taken(known.views, known.first[own][:, None] + np.arange(count))
         far = _taken(known.views, known.first[two][:, :, None, None] + np.asarray(corners))
-        found = _between_ends(over, number, near, here, far, there, shares, turned)
+        found = _between_ends(near, here, far, shares, turned)
         out.append(np.asarray(found)[:size])
     return np.concatenate(out)
 
@@ -165,26 +163,21 @@ def _halfway(
 def _seen_from(find: Locator, views: Array, turn: Array, level: Array) -> Any:
     """Where the views of vertices lie among those of both ends, [n, 2, V, ...]."""
     there = jnp.einsum("neij,vj->nevi", turn, views, precision="highest")
-    return there, *find(there, level[:, :, None])
+    return tuple(find(there, level[:, :, None]))
 
 
 @jax.jit
-def _between_ends(
-    over: Reference,
-    material: Array,
-    near: Slices,
-    here: Unoccluded,
-    far: Slices,
-    there: Array,
-    shares: Array,
-    turn: Array,
-) -> Array:
-    one = references.absolute(near, jax.tree.map(lambda a: a[None], here))
-    ends = references.absolute(slices.between(shares, far), over.at(material, there))
-    mu = jnp.einsum("neij,nevkli->nevklj", turn, ends.mu, precision="highest")
+def _between_ends(near: Slices, here: Unoccluded, far: Slices, shares: Array, turn: Array) -> Array:
+    ends = slices.between(shares, far)
+    beyond = jnp.einsum("neij,nevkli->nevklj", turn, ends.mu[..., 1:, :, :], precision="highest")
+    mu = jnp.concatenate([ends.mu[..., :1, :, :], beyond], -3)
     pair = Slices(*(jnp.moveaxis(a, 1, 2) for a in ends._replace(mu=mu)))
     half = jnp.full(pair.kappa.shape[:3], 0.5, pair.kappa.dtype)
-    return slices.squared_distance(one, slices.between(half, pair)).mean(-1)
+    one, other = (
+        references.absolute(s, jax.tree.map(lambda a: a[None], here))
+        for s in (near, slices.between(half, pair))
+    )
+    return slices.squared_distance(one, other).mean(-1)
 
 
 @jax.jit
@@ -192,64 +185,6 @@ def _matte_halfway(here: Slices, two: Slices, turn: Array) -> Array:
     mu = jnp.einsum("neij,nekli->neklj", turn, two.mu, precision="highest")
     half = jnp.full(two.kappa.shape[:2], 0.5, two.kappa.dtype)
     return slices.squared_distance(here, slices.between(half, two._replace(mu=mu)))
-
-
-# Angles between normals in the table of `bending`, radians.
-_ANGLES = np.linspace(0.0, 1.0, 33) ** 2 * np.pi
-
-
-def bending(over: Reference, material: int, whole: float) -> tuple[np.ndarray, np.ndarray]:
-    """What interpolation halfway between two normals misses of unoccluded slices.
-
-    Parameters
-    ----------
-    over
-        Unoccluded lobes.
-    material
-        Which of them.
-    whole
-        Squared norm that the squared distance is divided by.
-
-    Returns
-    -------
-    tuple
-        Angles between the normals, radians, and squared relative distances, rising.
-    """
-    views = jnp.asarray(hemisphere(2).views, jnp.float32)
-    apart = _bending(
-        over, jnp.asarray(material, jnp.int32), views, jnp.asarray(_ANGLES, jnp.float32)
-    )
-    squared = np.asarray(apart, np.float64) / whole if whole > 0.0 else np.zeros(len(_ANGLES))
-    return _ANGLES, np.maximum.accumulate(squared)
-
-
-@jax.jit
-def _bending(over: Reference, material: Array, views: Array, angles: Array) -> Array:
-    here = over.at(material, views)
-
-    def one(angle: Array) -> Array:
-        def end(half: Array) -> Unoccluded:
-            found = over.at(material, _tilted(views, half))
-            return Unoccluded(found.alpha, _tilted(found.mu, -half), found.log_kappa)
-
-        two = [_as_slices(end(half)) for half in (0.5 * angle, -0.5 * angle)]
-        pair = Slices(*(jnp.stack(a, 1) for a in zip(*two, strict=True)))
-        shares = jnp.full((len(views), 2), 0.5, views.dtype)
-        return slices.squared_distance(slices.between(shares, pair), _as_slices(here)).mean()
-
-    return jax.lax.map(one, angles)
-
-
-def _as_slices(found: Unoccluded) -> Slices:
-    """One kind of path alone."""
-    return Slices(found.alpha[:, None], found.mu[:, None], jnp.exp(found.log_kappa)[:, None])
-
-
-def _tilted(directions: Array, angle: Array) -> Array:
-    """Directions in a frame that is tilted in the plane of x and z."""
-    cos, sin = jnp.cos(angle), jnp.sin(angle)
-    x, y, z = directions[..., 0], directions[..., 1], directions[..., 2]
-    return jnp.stack([cos * x + sin * z, y, cos * z - sin * x], -1)
 
 
 def _turns(one: np.ndarray, two: np.ndarray) -> Float[np.ndarray, " E"]:
@@ -282,13 +217,11 @@ def _views(
         some, angle = _filled(some, step), _filled(angle, step).astype(np.float32)
         one, two = some.T
         finer = known.level[two].astype(np.int32)
-        there, corners, shares = _placed(find, views, angle, finer)
+        corners, shares = _placed(find, views, angle, finer)
         near = _taken(known.views, known.first[one][:, None] + np.arange(count))
         rows = known.first[two][:, None, None] + np.asarray(corners)
         far = _taken(known.views, rows)
-        out.append(
-            np.asarray(_compared(over, number, near, here, far, there, shares, angle))[:size]
-        )
+        out.append(np.asarray(_compared(near, here, far, shares, angle))[:size])
     return np.concatenate(out)
 
 
@@ -312,7 +245,7 @@ def _placed(find: Locator, views: Array, angle: Array, level: Array) -> Any:
     x, y, z = (views[:, k][None] for k in range(3))
     z = jnp.broadcast_to(z, (angle.shape[0], views.shape[0]))
     there = jnp.stack([cos * x - sin * y, sin * x + cos * y, z], -1)
-    return there, *find(there, level[:, None])
+    return tuple(find(there, level[:, None]))
 
 
 @jax.jit
@@ -321,20 +254,17 @@ def _here(over: Reference, material: Array, views: Array) -> Unoccluded:
 
 
 @jax.jit
-def _compared(
-    over: Reference,
-    material: Array,
-    near: Slices,
-    here: Unoccluded,
-    far: Slices,
-    there: Array,
-    shares: Array,
-    angle: Array,
-) -> Array:
-    cos, sin = (f(-angle)[:, None, None, None] for f in (jnp.cos, jnp.sin))
-    one = references.absolute(near, jax.tree.map(lambda a: a[None], here))
-    other = references.absolute(slices.between(shares, far), over.at(material, there))
-    return slices.squared_distance(one, slices.turned(other, cos, sin)).mean(-1)
+def _compared(near: Slices, here: Unoccluded, far: Slices, shares: Array, angle: Array) -> Array:
+    cos, sin = (f(-angle)[:, None, None] for f in (jnp.cos, jnp.sin))
+    other = slices.between(shares, far)
+    x, y, z = (other.mu[..., 1:, :, i] for i in range(3))
+    cos, sin = cos[..., None], sin[..., None]
+    beyond = frames.direction(cos * x - sin * y, sin * x + cos * y, z)
+    other = other._replace(mu=jnp.concatenate([other.mu[..., :1, :, :], beyond], -3))
+    one, other = (
+        references.absolute(s, jax.tree.map(lambda a: a[None], here)) for s in (near, other)
+    )
+    return slices.squared_distance(one, other).mean(-1)
 
 
 @jax.jit
