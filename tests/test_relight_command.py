@@ -12,7 +12,7 @@ from diffopt.cli import main, relight_output
 from diffopt.scenes import Camera, Scene
 from diffopt.transfer import working
 from diffopt.transfer.interactive import Relit
-from diffopt.transfer.precompute import precompute
+from diffopt.transfer.precomputation import precompute
 
 FILE = """
 [camera]

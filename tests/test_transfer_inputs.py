@@ -17,7 +17,8 @@ from diffopt.scenes.shapes import Box, Disc, Plane, Sphere
 from diffopt.scenes.transforms import translate
 from diffopt.transfer import reflectors, relighting
 from diffopt.transfer.lighting import prepare
-from diffopt.transfer.precompute import precompute
+from diffopt.transfer.precomputation import precompute
+from diffopt.transfer.raster import Raster
 from diffopt.transfer.settings import TransferSettings
 
 RGB = Channels()
@@ -29,7 +30,7 @@ CAMERA = do.Camera((0.0, -4.0, 2.0), (0.0, 0.0, 0.3), resolution=(16, 16))
 def shown(objects, light, settings=LEAST, camera=CAMERA):
     """Its transfer and picture under light."""
     found = precompute(do.Scene(objects), settings)
-    seen = relighting.Raster(found.mesh.vertices, found.triangles)(camera)
+    seen = Raster(found.mesh.vertices, found.triangles)(camera)
     return found, np.asarray(relighting.picture(relighting.tables(found), light, seen))
 
 

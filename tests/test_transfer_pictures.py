@@ -31,7 +31,7 @@ from diffopt.scenes import (
 from diffopt.scenes.channels import Channels
 from diffopt.transfer import infinity, pictures, tessellation
 from diffopt.transfer.backgrounds import Background
-from diffopt.transfer.precompute import precompute
+from diffopt.transfer.precomputation import precompute
 
 SETTINGS = transfer.TransferSettings(rays=64, finest=2, splits=1, tolerance=0.4, chunk=16)
 CAMERA = Camera((0.4, -4.6, 2.4), (0.0, 0.0, 0.1), resolution=(40, 30), field_of_view=40.0)

@@ -16,7 +16,8 @@ from diffopt.scenes.shapes import Box, Plane
 from diffopt.scenes.transforms import facing, translate
 from diffopt.transfer import relighting, tessellation
 from diffopt.transfer.lighting import prepare
-from diffopt.transfer.precompute import precompute
+from diffopt.transfer.precomputation import precompute
+from diffopt.transfer.raster import Raster
 from diffopt.transfer.settings import TransferSettings
 
 RGB = Channels()
@@ -42,7 +43,7 @@ def held(transfer):
 
 @pytest.fixture(scope="module")
 def raster(transfer):
-    return relighting.Raster(transfer.mesh.vertices, transfer.triangles)
+    return Raster(transfer.mesh.vertices, transfer.triangles)
 
 
 @pytest.fixture(scope="module")
@@ -126,7 +127,7 @@ def test_uniform_and_adaptive_agree(transfer, held, seen):
     light = prepare([soft()], RGB, "lobes")
     pictures = []
     for one in (transfer, whole):
-        found = relighting.Raster(one.mesh.vertices, one.triangles)(CAMERA, 2)
+        found = Raster(one.mesh.vertices, one.triangles)(CAMERA, 2)
         pictures.append(np.asarray(relighting.picture(relighting.tables(one), light, found)))
     a, b = pictures
     lit = b[..., 0] > 0.0

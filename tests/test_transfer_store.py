@@ -20,11 +20,11 @@ from diffopt.cli import main
 from diffopt.errors import InputError
 from diffopt.materials import BlinnPhong, Lambert
 from diffopt.scenes import Object, Scene
-from diffopt.transfer import precompute as precomputing
+from diffopt.transfer import precomputation as precomputing
 from diffopt.transfer import references, slices, store, working
 from diffopt.transfer.compression import CompressionSettings
 from diffopt.transfer.locking import Lock
-from diffopt.transfer.precompute import precompute
+from diffopt.transfer.precomputation import precompute
 from diffopt.transfer.settings import TransferSettings
 from diffopt.transfer.slices import Slices
 from diffopt.transfer.views import hemisphere
@@ -260,7 +260,7 @@ KILLED = """
     import diffopt as do
     from diffopt.scenes import Scene
     from diffopt.transfer import store
-    from diffopt.transfer.precompute import precompute
+    from diffopt.transfer.precomputation import precompute
     from diffopt.transfer.settings import TransferSettings
     from diffopt.transfer.working import Working
 

@@ -16,7 +16,7 @@ from diffopt.scenes import models
 from diffopt.scenes.camera import Camera
 from diffopt.transfer import references, relighting, slices
 from diffopt.transfer.lighting import HarmonicSettings
-from diffopt.transfer.raster import Seen
+from diffopt.transfer.raster import Raster, Seen
 from diffopt.transfer.relighting import Tables
 from diffopt.transfer.views import hemisphere, locator
 from diffopt.transfer.weighting import Weights
@@ -70,7 +70,7 @@ def held() -> Tables:
 def _seen(resolution: int) -> Seen:
     mesh = models.torus(1.0, 0.45, _AROUND, _ACROSS)
     camera = Camera(eye=_EYE, field_of_view=50.0, resolution=(resolution, resolution))
-    return relighting.Raster(np.asarray(mesh.vertices), np.asarray(mesh.faces))(camera, 1)
+    return Raster(np.asarray(mesh.vertices), np.asarray(mesh.faces))(camera, 1)
 
 
 def _relight(size: str) -> list[Entry]:

@@ -18,10 +18,10 @@ from jaxtyping import Array, Float, Int
 from diffopt.accuracy import transfer_scenes, transfer_truth
 from diffopt.errors import InputError
 from diffopt.scenes.channels import Channels
-from diffopt.transfer import precompute, relighting
+from diffopt.transfer import precomputation, relighting
 from diffopt.transfer.lighting import Lighting, prepare
-from diffopt.transfer.precompute import Transfer
-from diffopt.transfer.raster import Seen
+from diffopt.transfer.precomputation import Transfer
+from diffopt.transfer.raster import Raster, Seen
 from diffopt.transfer.relighting import Tables
 from diffopt.transfer.settings import TransferSettings
 
@@ -118,7 +118,7 @@ def made(
     scene, detail
         See `diffopt.accuracy.transfer_scenes.subject`.
     settings, uniform
-        See `diffopt.transfer.precompute.precompute`.
+        See `diffopt.transfer.precomputation.precompute`.
     again
         Whether it is computed a second time, so that no time is that of compilation.
     """
@@ -126,7 +126,7 @@ def made(
     found, seconds, cores = None, [], []
     for _ in range(2 if again else 1):
         begun, spent = time.perf_counter(), time.process_time()
-        found = precompute.precompute(subject.scene, settings, uniform=uniform)
+        found = precomputation.precompute(subject.scene, settings, uniform=uniform)
         seconds.append(time.perf_counter() - begun)
         cores.append(time.process_time() - spent)
     assert found is not None
@@ -151,7 +151,7 @@ def lighting(light: str, method: str | None = None, settings: Any = None) -> Lig
 
 def seen(transfer: Transfer, setup: Setup) -> Seen:
     """What the camera of a setup sees of a mesh, a sample in the middle of each pixel."""
-    raster = relighting.Raster(transfer.mesh.vertices, transfer.triangles)
+    raster = Raster(transfer.mesh.vertices, transfer.triangles)
     return raster(setup.subject.camera, 1)
 
 

@@ -11,7 +11,7 @@ from diffopt.errors import InputError
 
 if TYPE_CHECKING:
     from diffopt.scenes import SceneFile
-    from diffopt.transfer.precompute import Progress
+    from diffopt.transfer.precomputation import Progress
     from diffopt.transfer.settings import TransferSettings
 
 #: Exit code of a precomputation that was interrupted.
@@ -59,7 +59,7 @@ def command(
     from diffopt.cli.errors import user_input
     from diffopt.transfer import store
     from diffopt.transfer.compression import CompressionSettings
-    from diffopt.transfer.precompute import begun, precompute, surroundings
+    from diffopt.transfer.precomputation import begun, precompute, surroundings
     from diffopt.transfer.working import Working, differences, identity
 
     words = {"tolerance": tolerance, "lobes": lobes, "rays": rays, "depth": depth}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from diffopt.materials.base import Material
     from diffopt.scenes import SceneFile
-    from diffopt.transfer.precompute import Transfer
+    from diffopt.transfer.precomputation import Transfer
 
 # The paper computed on 8 cores at 3 GHz.
 _CORES = 8
@@ -99,11 +99,11 @@ def frames_a_second(transfer: "Transfer", found: "SceneFile") -> float:
     import numpy as np
 
     from diffopt.scenes.lights import Environment
-    from diffopt.transfer import lighting, relighting
+    from diffopt.transfer import lighting, raster, relighting
 
     camera = dataclasses.replace(found.camera, resolution=(_PIXELS, _PIXELS))
     held = relighting.tables(transfer)
-    seen = relighting.Raster(transfer.mesh.vertices, transfer.triangles)(camera)
+    seen = raster.Raster(transfer.mesh.vertices, transfer.triangles)(camera)
     # A sky with a sun: any map takes the same time.
     height = np.linspace(1.0, -1.0, 64)[:, None] + np.zeros((1, 128))
     height[12:15, 30:33] = 50.0

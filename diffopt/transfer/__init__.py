@@ -6,13 +6,14 @@ are needed (after the glossy-transfer paper). Light averaged over the lobes make
 
 ================  ==========================================================
 `settings`        how it is precomputed
-`precompute`      vertices, their slices, and where more are needed
+`precomputation`  vertices, their slices, and where more are needed
 `reflectors`      materials as transfer takes them
 `views`           nested viewing directions
 `weighting`       of rays by the material; `tracing`: what rays bring
 `slices`          lobes of a view from moments, between views, their distances
 `fits`            lobes of the unoccluded material; `references`: slices over them
 `angular`         views of a vertex, as many as it needs
+`refinement`      which triangles are split next
 `path_sampling`   slices by paths of their own, for comparison
 `spatial`         how slices at the corners of triangles differ
 `tessellation`    triangles split in four; `mesh_edges`, `mesh_checks`
@@ -39,7 +40,8 @@ from diffopt.transfer.layers import LAYERS as LAYERS
 from diffopt.transfer.layers import layer as layer
 from diffopt.transfer.lighting import HarmonicSettings as HarmonicSettings
 from diffopt.transfer.lighting import prepare as prepare
-from diffopt.transfer.precompute import Transfer as Transfer
+from diffopt.transfer.precomputation import Transfer as Transfer
+from diffopt.transfer.precomputation import precompute as precompute
 from diffopt.transfer.pyramid import PyramidSettings as PyramidSettings
 from diffopt.transfer.raster import Raster as Raster
 from diffopt.transfer.relighting import Tables as Tables

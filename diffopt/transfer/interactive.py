@@ -16,7 +16,7 @@ from diffopt.scenes.camera import Camera
 from diffopt.scenes.scene import Scene
 from diffopt.transfer import infinity, lighting, relighting
 from diffopt.transfer.backgrounds import Background
-from diffopt.transfer.precompute import Transfer
+from diffopt.transfer.precomputation import Transfer
 from diffopt.transfer.raster import Raster
 
 

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from diffopt.errors import InputError
 from diffopt.scenes.camera import Camera
 from diffopt.transfer import tessellation
-from diffopt.transfer.precompute import Transfer
+from diffopt.transfer.precomputation import Transfer
 from diffopt.transfer.raster import Raster
 from diffopt.transfer.views import hemisphere
 

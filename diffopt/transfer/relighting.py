@@ -25,9 +25,8 @@ from diffopt.kernels.frames import dot
 from diffopt.rendering import programs
 from diffopt.transfer import fields, references
 from diffopt.transfer.fields import Fields, unpacked
-from diffopt.transfer.precompute import Transfer
-from diffopt.transfer.raster import Raster as Raster
-from diffopt.transfer.raster import Seen as Seen
+from diffopt.transfer.precomputation import Transfer
+from diffopt.transfer.raster import Seen
 from diffopt.transfer.references import Axis, Reference
 from diffopt.transfer.slices import Slices
 from diffopt.transfer.views import Locator, locator

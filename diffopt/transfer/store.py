@@ -17,7 +17,7 @@ from diffopt.errors import InputError
 from diffopt.io.files import one_line
 from diffopt.transfer import packing, zarrays
 from diffopt.transfer.compression import CompressionSettings
-from diffopt.transfer.precompute import Transfer
+from diffopt.transfer.precomputation import Transfer
 from diffopt.transfer.settings import KINDS
 from diffopt.transfer.working import FOLDER, Working
 
