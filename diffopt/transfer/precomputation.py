@@ -25,8 +25,8 @@ from diffopt.transfer.tessellation import Tessellation
 from diffopt.transfer.tracing import Frames, Surroundings
 from diffopt.transfer.views import hemisphere
 
-# Longest side of a triangle to begin with, over the radius of the scene.
-_WIDEST = 0.25
+# What counts as the median side at most, over the radius of the scene.
+_USUAL = 1.0 / 64.0
 
 
 @runtime_checkable
@@ -150,7 +150,7 @@ def surroundings(scene: Scene, backend: str = "embree") -> Surroundings:
 def begun(around: Surroundings, longest: float = math.inf) -> Tessellation:
     """The triangles of a scene, labelled by their reflectors.
 
-    Those with a side longer than so many median sides, or than a quarter of the scene's radius,
+    Those with a side longer than so many median sides (of a 64th of the scene's radius at most)
     are halved until there are none: the corners of a wide floor see nothing of what stands in
     its middle.
     """
@@ -171,7 +171,7 @@ def begun(around: Surroundings, longest: float = math.inf) -> Tessellation:
     )
     sides = _sides(mesh, np.arange(len(mesh.faces)))
     usual = float(np.median(sides)) if len(sides) else 0.0
-    limit = min(longest * usual, _WIDEST * radius)
+    limit = longest * min(usual, _USUAL * radius)
     while len(wide := _longer(mesh, limit)):
         mesh = tessellation.split(mesh, wide)
     if len(mesh.faces) == len(tessellation.leaves(mesh)):

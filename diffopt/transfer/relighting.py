@@ -249,7 +249,8 @@ def _pixel_fields(
     occluders is shaded as if it were not made of triangles.
     """
     parts = [unpacked(row[:, :-9], held.lobes) for row in rows]
-    frame = fields.mixed(shares, [row[:, -9:].T for row in rows])
+    last = rows[0].shape[1] - 9
+    frame = [fields.mixed(shares, [row[:, last + i] for row in rows]) for i in range(9)]
     away = [eye[i] - frame[i] for i in range(3)]
     x, y, z = fields.normalised(away, (frame[0] * 0.0, frame[0] * 0.0, frame[0] * 0.0 + 1.0))
     first = (rows[0][:, -3], rows[0][:, -2], rows[0][:, -1])

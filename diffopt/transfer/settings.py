@@ -38,9 +38,9 @@ class TransferSettings:
     least_area
         Triangles below this share of the scene's area are not split, in [0, 1).
     longest
-        Sides of triangles to begin with, over the median side, in [1, 1e6]: longer ones are halved
-        before anything is compared, as what stands in the middle of a wide floor is not seen from
-        its corners.
+        Sides of triangles to begin with, over the median side or a 64th of the scene's radius, in
+        [1, 1e6]: longer ones are halved before anything is compared, as what stands in the middle
+        of a wide floor is not seen from its corners.
     round_faces
         Triangles split in a round, the worst first.
     most_vertices
