@@ -296,7 +296,7 @@ def test_a_killed_run_goes_on_to_the_same_bits(scene, transfer, file, tmp_path):
     assert store.state(path) == "begun"
     assert (path / "working" / "lock").is_file()
     with Working(path, scene, SETTINGS) as batches:
-        assert batches.kept >= 4
+        assert batches.kept >= 2  # of two threads, the last need not have all before it
         assert not list(batches.folder.glob(".*"))
         same(precompute(scene, SETTINGS, batches=batches), transfer)
 
