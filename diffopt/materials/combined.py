@@ -12,6 +12,7 @@ from diffopt import checks
 from diffopt.errors import InputError
 from diffopt.materials.base import Material, Sample, floating, mask, times
 from diffopt.materials.checking import within
+from diffopt.materials.diffuse import Lambert, OrenNayar
 
 
 class Scaled(Material):
@@ -94,7 +95,7 @@ class Scaled(Material):
         return self._scaled(self.material.integrate(wo, nodes), 0)
 
     def _scaled(self, values: Array, batch: int) -> Array:
-        values = _aligned(values, batch, self.channels)
+        values = aligned(values, batch, self.channels)
         return values * jnp.broadcast_to(self.factor, values.shape)
 
 
@@ -162,7 +163,7 @@ class Sum(Material):
         for part in self.parts:
             for sample in part.coherent(wo):
                 weight = sample.weight if part.transmits else mask(seen, sample.weight)
-                weight = _aligned(weight, wo.ndim - 1, self.channels)
+                weight = aligned(weight, wo.ndim - 1, self.channels)
                 found.append(Sample(sample.wi, weight, sample.pdf, sample.delta))
         return tuple(found)
 
@@ -198,18 +199,18 @@ class Sum(Material):
         inner = jnp.concatenate([u[..., :2], rest[..., None]], -1)
         drawn = [part.scatter(inner, wo) for part in self.parts]
         wi, delta, alone = drawn[0].wi, drawn[0].delta, drawn[0].pdf
-        colour = _aligned(drawn[0].weight, wo.ndim - 1, self.channels)
+        colour = aligned(drawn[0].weight, wo.ndim - 1, self.channels)
         for k, sample in enumerate(drawn[1:], 1):
             here = index == k
             wi = jnp.where(here[..., None], sample.wi, wi)
             delta = jnp.where(here, sample.delta, delta)
             alone = jnp.where(here, sample.pdf, alone)
-            wide = _aligned(sample.weight, wo.ndim - 1, self.channels)
+            wide = aligned(sample.weight, wo.ndim - 1, self.channels)
             colour = jnp.where(here.reshape(here.shape + (1,) * len(self.channels)), wide, colour)
         pdf = self.density(wi, wo)
         seen = pdf > 0.0
         ratio = jnp.where(seen, jnp.abs(wi[..., 2]) / jnp.where(seen, pdf, 1.0), 0.0)
-        smooth = _aligned(times(ratio, self._reflected(wi, wo)), wo.ndim - 1, self.channels)
+        smooth = aligned(times(ratio, self._reflected(wi, wo)), wo.ndim - 1, self.channels)
         chance = self.chances[index]
         single = times(1.0 / chance, colour)
         return Sample(
@@ -229,7 +230,7 @@ class Sum(Material):
         return self._total(parts, 0)
 
     def _total(self, values: list[Array], batch: int) -> Array:
-        return functools.reduce(jnp.add, [_aligned(v, batch, self.channels) for v in values])
+        return functools.reduce(jnp.add, [aligned(v, batch, self.channels) for v in values])
 
 
 class Emission(Material):
@@ -264,8 +265,32 @@ class Emission(Material):
         return times(above, colour.reshape((1,) * above.ndim + colour.shape))
 
 
-def _aligned(values: Array, batch: int, channels: tuple[int, ...]) -> Array:
-    """Values [*batch, *C] broadcast to channels."""
+def matte_part(material: Material) -> Material | None:
+    """What a material scatters evenly: Lambert's and Oren and Nayar's parts of it.
+
+    Returns
+    -------
+    Material or None
+        The material itself where it is all of that kind, the sum of such parts, or None.
+    """
+    if isinstance(material, Lambert | OrenNayar):
+        return material
+    if isinstance(material, Scaled):
+        part = matte_part(material.material)
+        if part is None or part is material.material:
+            return material if part is not None else None
+        return Scaled(part, material.factor)
+    if isinstance(material, Sum):
+        found = [matte_part(part) for part in material.parts]
+        kept = tuple(part for part in found if part is not None)
+        if all(a is b for a, b in zip(found, material.parts, strict=True)):
+            return material
+        return kept[0] if len(kept) == 1 else Sum(kept) if kept else None
+    return None
+
+
+def aligned(values: Array, batch: int, channels: tuple[int, ...]) -> Array:
+    """Values [*batch, *C] broadcast to channels, those of a sum where parts have fewer."""
     shape, own = values.shape[:batch], values.shape[batch:]
     values = values.reshape(shape + (1,) * (len(channels) - len(own)) + own)
     return jnp.broadcast_to(values, (*shape, *channels))

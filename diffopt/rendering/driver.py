@@ -89,11 +89,11 @@ def picture(
         return np.asarray(rays.radiance).reshape(size, together, -1)
 
     results = ahead(one, passes, workers)
-    total = squares = np.zeros((size, stage.channels))
+    total = squares = np.zeros((size, 1))
     try:
         for (number, first), found in zip(passes, results, strict=True):
             if first == 0:
-                total, squares = (np.zeros((size, stage.channels)) for _ in range(2))
+                total, squares = (np.zeros((size, found.shape[2])) for _ in range(2))
             found = found[:, : settings.spp - first].astype(np.float64)
             total += found.sum(axis=1)
             squares += (found * found).sum(axis=1)

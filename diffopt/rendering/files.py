@@ -32,6 +32,7 @@ def npz(image: "Image", path: Path, exposure: float | None) -> None:
         np.savez_compressed(
             file,
             **arrays,
+            **{f"layer {name}": part for name, part in image.layers.items()},
             rgb=image.rgb,
             wavelengths=np.asarray([] if lam is None else lam),
             summary=np.asarray(json.dumps(image.summary())),
@@ -48,6 +49,9 @@ def exr(image: "Image", path: Path, exposure: float | None) -> None:
     layers["object"] = image.object
     names = image.channels.names
     layers |= {f"error.{name}": image.error[..., k] for k, name in enumerate(names)}
+    for effect, part in image.layers.items():
+        linear = image.channels.rgb(part)
+        layers |= {f"{effect}.{name}": linear[..., k] for k, name in enumerate("RGB")}
     if image.channels.wavelengths is not None:
         layers |= {f"S0.{name}": image.radiance[..., k] for k, name in enumerate(names)}
     header = {

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from diffopt.errors import InputError
+from diffopt.rendering import effects
 from diffopt.rendering.settings import Settings
 from diffopt.scenes.camera import Camera
 from diffopt.scenes.channels import Channels
@@ -45,6 +46,9 @@ class Image:
         How long that took.
     interrupted
         Whether it was ended before all was done.
+    layers
+        Radiance by effect, [h, w, C] each, where they were asked for: their sum is `radiance`.
+        Light is as it would arrive unshadowed; what shadows take away is theirs, below 0.
     """
 
     radiance: Float[np.ndarray, "h w C"]
@@ -58,6 +62,7 @@ class Image:
     settings: Settings
     seconds: float = 0.0
     interrupted: bool = False
+    layers: dict[str, Float[np.ndarray, "h w C"]] = dataclasses.field(default_factory=dict)
 
     @staticmethod
     def blank(scene: Scene, camera: Camera, settings: Settings) -> "Image":
@@ -76,7 +81,17 @@ class Image:
         )
 
     def fill(self, pixels: np.ndarray, total: np.ndarray, squares: np.ndarray, count: int) -> None:
-        """Put in sums over the samples of pixels, [n, C], and over their squares."""
+        """Put in sums over the samples of pixels, [n, C], and over their squares.
+
+        Beyond the channels there may be those of `effects.LAYERS`, one after the other.
+        """
+        channels = self.channels.count
+        for k, name in enumerate(effects.LAYERS if total.shape[1] > channels else ()):
+            part = total[:, (k + 1) * channels : (k + 2) * channels] / count
+            if part.any() or name in self.layers:
+                whole = self.layers.setdefault(name, np.zeros_like(self.radiance))
+                whole.reshape(-1, channels)[pixels] = part
+        total, squares = total[:, :channels], squares[:, :channels]
         mean = total / count
         self.radiance.reshape(-1, mean.shape[1])[pixels] = mean
         if count > 1:

@@ -19,6 +19,7 @@ from diffopt.kernels.frames import dot
 from diffopt.materials.base import Sample, mask, times
 from diffopt.rendering import rows, shading
 from diffopt.rendering.groups import Group
+from diffopt.rendering.happenings import Parts
 from diffopt.rendering.programs import Program
 from diffopt.rendering.queries import Queries
 from diffopt.rendering.settings import PathSettings
@@ -116,8 +117,13 @@ def _bounce(
     last: Array | np.ndarray,
     offset: Array,
     held: Group | None,
-) -> tuple[Rays, Shadow]:
-    """One bounce of rays that meet one group: the light collected, that drawn, the next rays."""
+    parts: bool = False,
+) -> tuple[Rays, Shadow] | tuple[Rays, Shadow, Parts]:
+    """One bounce of rays that meet one group: the light collected, that drawn, the next rays.
+
+    With `parts`, what came to pass is told as well, and the light collected is what surfaces
+    emit alone.
+    """
     met = shading.meet(group, world, rays, hits, member)
     dtype = met.wo.dtype
     light = met.throughput * shading.emitted(met, sources, rays, drawn=True)
@@ -125,6 +131,7 @@ def _bounce(
     pairs = [uniforms.at(key, rays.pixel, first + np.uint32(k)) for k in range(4)]
     u = [number.astype(dtype) for pair in pairs for number in pair]
 
+    told = Parts.blank(shading.no_shadow(len(first), group.channels, dtype)) if parts else None
     shadow = shading.no_shadow(len(first), group.channels, dtype)
     if group.kind.smooth and sources.families:
         drawn = sources.draw(jnp.stack(u[:4], -1), met.surface.position)
@@ -138,14 +145,23 @@ def _bounce(
         start = shading.leaving(met.surface, towards, offset)
         length = shading.short_of(drawn.distance, offset)
         shadow = Shadow(*jax.lax.stop_gradient((start, towards, length)), value)
+        if told is not None:
+            told = told.drawn(group, met, towards, weight, u[3], sources)
 
     draw = _drawn if held is None else _held
     sample = group.each(draw, met.member, met.surface, jnp.stack(u[4:7], -1), met.wo, beside=held)
     weight = group.converted(sample.weight)
+    if told is not None:
+        chance, _ = uniforms.at(key, rays.pixel ^ np.uint32(2**31), rays.sample + bounce)
+        told, weight = told.scattered(group, met, sample, weight, chance.astype(dtype))
     if sources.has_ambient:
         # It is scattered; perfect mirrors and glass show what is met behind them.
         even = jnp.where(last | sample.delta, 0.0, 1.0).astype(dtype)
-        light = light + even[:, None] * met.throughput * weight * sources.ambient[None]
+        even = even[:, None] * met.throughput * weight * sources.ambient[None]
+        if told is None:
+            light = light + even
+        else:
+            told = dataclasses.replace(told, ambient=even)
     towards = met.surface.outwards(sample.wi)
     throughput = met.throughput * shading.kept_above(group, met, towards, weight)
     brightest = jax.lax.stop_gradient(throughput.max(-1))
@@ -157,7 +173,7 @@ def _bounce(
     fixed = jax.lax.stop_gradient((shading.leaving(met.surface, towards, offset), towards))
     density = jax.lax.stop_gradient(jnp.where(sample.delta, jnp.inf, sample.pdf))
     onwards = Rays(*fixed, throughput, density, light, lives, rays.pixel, rays.sample)
-    return onwards, shadow
+    return (onwards, shadow) if told is None else (onwards, shadow, told)
 
 
 # Derivatives cannot pass a program with options of its own.
