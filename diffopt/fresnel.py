@@ -123,20 +123,28 @@ class Constant(Reflectance):
 
 
 class Schlick(Reflectance):
-    """Schlick's approximation from the reflectance at normal incidence; see `kernels.fresnel`."""
+    """Schlick's approximation from the reflectance at normal incidence; see `kernels.fresnel`.
 
-    r0: Float[Array, ""] = eqx.field(converter=floating)
+    Parameters
+    ----------
+    r0
+        Above 0 and at most 1: a number, or one for each wavelength, [L].
+    """
+
+    r0: Float[Array, "..."] = eqx.field(converter=floating)
 
     def __check_init__(self) -> None:
         """Check the value, where it is known."""
+        if self.r0.ndim > 1:
+            raise InputError(f"r0 must be a number or [L]; received shape {self.r0.shape}")
         _check("r0", self.r0, lambda v: (v > 0) & (v <= 1), "above 0 and at most 1")
 
     def __call__(
         self, cos_h: Float[Array, "*batch"], wavelengths: Float[Array, " L"]
     ) -> Float[Array, "*batch L"]:
         """See `Reflectance`."""
-        value = fresnel.schlick(cos_h, self.r0.astype(cos_h.dtype))
-        return jnp.broadcast_to(value[..., None], (*cos_h.shape, wavelengths.shape[0]))
+        r0 = jnp.broadcast_to(self.r0.astype(cos_h.dtype), wavelengths.shape)
+        return fresnel.schlick(*jnp.broadcast_arrays(cos_h[..., None], _last_axis(r0, cos_h)))
 
 
 class Dielectric(Reflectance):

@@ -24,6 +24,7 @@ from diffopt.materials.combined import Emission as Emission
 from diffopt.materials.combined import Scaled as Scaled
 from diffopt.materials.combined import Sum as Sum
 from diffopt.materials.diffracting import Diffraction as Diffraction
+from diffopt.materials.diffracting import FlatDiffraction as FlatDiffraction
 from diffopt.materials.diffuse import Lambert as Lambert
 from diffopt.materials.diffuse import OrenNayar as OrenNayar
 from diffopt.materials.goniometer import Measurement as Measurement

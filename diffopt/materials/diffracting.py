@@ -1,21 +1,62 @@
 """A diffracting surface as a material, alone or over a diffuse texture."""
 
+import abc
 import math
 from typing import Any, ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from diffopt import colour
 from diffopt.choice import PreparedBRDF
-from diffopt.diffraction import DiffractionBRDF
+from diffopt.diffraction import DiffractionBRDF, factors
 from diffopt.errors import InputError
 from diffopt.kernels import reflectance, warps
 from diffopt.materials.base import Material, floating
 from diffopt.materials.phong import turned
 
 
-class Diffraction(Material):
+class _Coherent(Material):
+    """What diffracting surfaces share: how they are sampled, by the lobe of their window."""
+
+    wavelengths: eqx.AbstractVar[Float[Array, " L"]]
+    choices: ClassVar[tuple[float, ...]] = (0.25, 0.75)
+
+    @property
+    @abc.abstractmethod
+    def _model(self) -> DiffractionBRDF:
+        """The surface's BRDF."""
+
+    @property
+    def reciprocal(self) -> bool:
+        """Of Stam's and the symmetric prefactors; those with cos_o / cos_i are not."""
+        return self._model.surface.prefactor not in ("ohs", "ghs")
+
+    @property
+    def conserves_energy(self) -> bool:
+        """Scalar diffraction does not promise it."""
+        return False
+
+    def warp(self, u: Array, wo: Array) -> Array:
+        """Half of the directions about the mirror's peak, half by the cosine."""
+        peak = turned(warps.power_cosine(u[..., :2], self._exponent), reflectance.mirrored(wo))
+        return jnp.where(u[..., 2:] < 0.5, peak, warps.cosine_hemisphere(u[..., :2]))
+
+    def density(self, wi: Array, wo: Array) -> Array:
+        """See `Material`."""
+        angle = reflectance.lobe_angle("reflected", wi, wo)
+        peak = warps.power_cosine_density(*angle, self._exponent)
+        return 0.5 * (peak + jnp.maximum(wi[..., 2], 0.0) / math.pi)
+
+    @property
+    def _exponent(self) -> Array:
+        """Of a lobe four times as wide as the coherent peak of the longest wavelength."""
+        wide = 4.0 * self.wavelengths.max() / (2.0 * math.pi * self._model.surface.sigma)
+        return jnp.maximum(1.0 / (wide * wide), 1.0)
+
+
+class Diffraction(_Coherent):
     """The diffraction of a heightfield, in whatever method it was prepared.
 
     Parameters
@@ -42,7 +83,6 @@ class Diffraction(Material):
     brdf: DiffractionBRDF | PreparedBRDF
     wavelengths: Float[Array, " L"]
     texture: Float[Array, "..."] | None
-    choices: ClassVar[tuple[float, ...]] = (0.25, 0.75)
 
     def __init__(self, brdf: Any, wavelengths: Any = None, texture: Any = None) -> None:
         """See the class."""
@@ -77,16 +117,6 @@ class Diffraction(Material):
         return self.brdf.brdf if isinstance(self.brdf, PreparedBRDF) else self.brdf
 
     @property
-    def reciprocal(self) -> bool:
-        """Of Stam's and the symmetric prefactors; those with cos_o / cos_i are not."""
-        return self._model.surface.prefactor not in ("ohs", "ghs")
-
-    @property
-    def conserves_energy(self) -> bool:
-        """Scalar diffraction does not promise it."""
-        return False
-
-    @property
     def channels(self) -> tuple[int, ...]:
         """See `Material`."""
         return (3,) if self._rgb else self.wavelengths.shape
@@ -109,19 +139,53 @@ class Diffraction(Material):
         rest = 1.0 - jnp.clip(rho, 0.0, 1.0)
         return f + rest * diffuse.reshape((1,) * (wi.ndim - 1) + (-1,))
 
-    def warp(self, u: Array, wo: Array) -> Array:
-        """Half of the directions about the mirror's peak, half by the cosine."""
-        peak = turned(warps.power_cosine(u[..., :2], self._exponent), reflectance.mirrored(wo))
-        return jnp.where(u[..., 2:] < 0.5, peak, warps.cosine_hemisphere(u[..., :2]))
 
-    def density(self, wi: Array, wo: Array) -> Array:
-        """See `Material`."""
-        angle = reflectance.lobe_angle("reflected", wi, wo)
-        peak = warps.power_cosine_density(*angle, self._exponent)
-        return 0.5 * (peak + jnp.maximum(wi[..., 2], 0.0) / math.pi)
+class FlatDiffraction(_Coherent):
+    """What is left of a diffracting surface without its heights: the lobe of its window.
+
+    A mirror blurred by the limited coherence: the area 4 pi sigma_s^2 reflects with the density
+    exp(-(2 pi sigma_s)^2 (u^2 + v^2) / lambda^2), u and v the sums of the directions' parts along
+    the surface (Stam, "Diffraction shaders", SIGGRAPH 1999, with a Gaussian window).
+
+    Parameters
+    ----------
+    material
+        The diffracting one: its wavelengths, coherence, reflectance and prefactor. Linear RGB
+        is taken at one wavelength for each primary.
+    """
+
+    model: DiffractionBRDF
+    wavelengths: Float[Array, " L"]
+    texture: Float[Array, "..."] | None
+
+    def __init__(self, material: Diffraction) -> None:
+        """See the class."""
+        self.model = material._model
+        self.texture = material.texture
+        primaries = floating([0.611, 0.549, 0.465])
+        self.wavelengths = primaries if material._rgb else material.wavelengths
 
     @property
-    def _exponent(self) -> Array:
-        """Of a lobe four times as wide as the coherent peak of the longest wavelength."""
-        wide = 4.0 * self.wavelengths.max() / (2.0 * math.pi * self._model.surface.sigma)
-        return jnp.maximum(1.0 / (wide * wide), 1.0)
+    def channels(self) -> tuple[int, ...]:
+        """See `Material`."""
+        return self.wavelengths.shape
+
+    def value(self, wi: Array, wo: Array) -> Array:
+        """See `Material`."""
+        batch = wi.shape[:-1]
+        wi, wo = wi.reshape(-1, 3), wo.reshape(-1, 3)
+        lam = self.wavelengths.astype(wi.dtype)
+        before = factors(self.model, wi, wo, lam, "spectral")
+        across = (wi + wo)[:, :2]
+        wide = 2.0 * math.pi * jnp.asarray(self.model.surface.sigma, wi.dtype)
+        exponent = (wide / lam)[None, :] ** 2 * (across * across).sum(1)[:, None]
+        f = before * jnp.exp(-exponent)
+        if self.texture is not None:
+            peak = self.model.coherent_area * self.model.fresnel.normal(lam) / lam**2
+            rest = 1.0 - jnp.clip(f * wi[:, 2:] / peak[None, :], 0.0, 1.0)
+            f = f + rest * (jnp.broadcast_to(self.texture, lam.shape) / math.pi)[None, :]
+        return f.reshape(*batch, -1)
+
+    @property
+    def _model(self) -> DiffractionBRDF:
+        return self.model

@@ -202,9 +202,7 @@ class Walk:
         rays
             As they leave the camera.
         """
-        caster = queries.caster
-        assert caster is not None
-        owners = caster.geometry.owner
+        owners = stage.owner
         count = rays.throughput.shape[0]
         size = min(rows.block(), count)
         state = _start(count)

@@ -3,9 +3,9 @@
 The rays are those of recursive ray tracing, with mirrors and glass or without; see `Direct`.
 """
 
+import dataclasses
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -66,8 +66,5 @@ def _none(lights: StandIns) -> StandIns:
         type(family)(*(empty(a) for a in vars(family).values()))
         for family in (lights.beams, lights.points)
     )
-    return eqx.tree_at(
-        lambda s: (s.beams, s.points, s.ambient),
-        lights,
-        (beams, points, jnp.zeros_like(lights.ambient)),
-    )
+    zero = jnp.zeros_like(lights.ambient)
+    return dataclasses.replace(lights, beams=beams, points=points, ambient=zero, soft=())

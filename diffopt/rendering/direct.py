@@ -6,6 +6,7 @@ and refraction to a depth. (The three levels are those of the chapter on image s
 Szirmay-Kalos, section 3.7.)
 """
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -18,6 +19,7 @@ from diffopt.kernels import frames
 from diffopt.materials.base import mask
 from diffopt.rendering import shading
 from diffopt.rendering.albedos import Albedos, albedos
+from diffopt.rendering.effects import EVERYTHING, Composition
 from diffopt.rendering.groups import Group
 from diffopt.rendering.queries import Queries
 from diffopt.rendering.settings import IncrementalSettings
@@ -42,6 +44,9 @@ class Direct:
         `IncrementalSettings` or `RecursiveSettings`.
     ambient
         Radiance of even light beside the scene's own, [C]; None for none.
+    composition
+        Which effects are in, of those that the level has: what is seen, coherent reflection
+        and refraction, and on what shadows fall.
 
     Attributes
     ----------
@@ -50,8 +55,14 @@ class Direct:
         none.
     """
 
-    def __init__(self, settings: IncrementalSettings, ambient: Any = None) -> None:
-        self.settings = settings
+    def __init__(
+        self,
+        settings: IncrementalSettings,
+        ambient: Any = None,
+        composition: Composition = EVERYTHING,
+    ) -> None:
+        self.settings, self.composition = settings, composition
+        self.depth = min(settings.depth, composition.mirrors)
         self.ambient = ambient
         self.field: Field | None = None
         self._prepared: tuple[Stage, StandIns, list[Albedos | None]] | None = None
@@ -67,15 +78,15 @@ class Direct:
         count, total = rays.origin.shape[0], rays.radiance
         homes = np.arange(count, dtype=np.uint32)
         waves = [eqx.tree_at(lambda r: r.pixel, rays, jnp.asarray(homes))]
-        for depth in range(self.settings.depth + 1):
+        for depth in range(self.depth + 1):
             more: list[Rays] = []
             for wave in waves:
                 wave, born = self._wave(stage, wave, queries, lights, tables)
                 total = _gathered(total, wave)
                 more += born
-            if depth < self.settings.depth:
+            if depth < self.depth:
                 waves = queries.packed(more, count)
-            if not waves or depth == self.settings.depth:
+            if not waves or depth == self.depth:
                 break
         return eqx.tree_at(lambda r: r.radiance, rays, total)
 
@@ -101,19 +112,22 @@ class Direct:
         tables: list[Albedos | None],
     ) -> tuple[Rays, list[Rays]]:
         """What rays of one depth collect, and the rays that follow from them."""
+        what = self.composition
         count, channels = rays.throughput.shape
         rays, hits, alive = queries.first(rays)
-        for rows in shading.blocks(alive[hits.primitive[alive] < 0], count):
+        gone = alive[hits.primitive[alive] < 0] if what.holds("surroundings") else alive[:0]
+        for rows in shading.blocks(gone, count):
             rays = shading.missed(stage.sources, rays, rows)
         parts, born = [], []
         dead = shading.dead(rays)
         for number, group, rows in stage.by_group(alive, hits):
             table = tables[number]
             follow = group.transmits if self.straight else group.delta
+            follow = follow and self.depth > 0
             children = (
                 [dead] * (1 if self.straight else _lobes(group, stage.dtype)) if follow else []
             )
-            for block in shading.blocks(rows, count):
+            for block, shaded in self._blocks(stage, rows, hits, count):
                 rays, met = _shade(
                     group,
                     stage.world,
@@ -125,26 +139,52 @@ class Direct:
                     table,
                     lights.ambient,
                     self.field,
+                    what.holds("emission"),
                 )
                 if group.kind.smooth:
                     share = None
                     if lights.even is not None:
                         share = _even(group, met, lights, table)
-                    parts.append((group, met, share, block))
+                    parts.append((group, met, share, block, shaded))
                 if children:
-                    children = _children(group, met, children, block, stage.offset, self.straight)
+                    kept = self.straight, what.holds("mirror"), what.holds("refraction")
+                    children = _children(group, met, children, block, stage.offset, kept)
             born += children
         if not self.settings.shadows:
-            for group, met, _, block in parts if lights.count else []:
+            for group, met, _, block, _ in parts if lights.count else []:
                 rays = _unshaded(group, met, lights, rays, block)
             return rays, born
         for number in range(lights.count if parts else 0):
             shadow = shading.no_shadow(count, channels, rays.origin.dtype)
-            which = jnp.asarray(number)
-            for group, met, share, block in parts:
-                shadow = _towards(group, met, lights, which, share, shadow, block, stage.offset)
-            rays = queries.lit(rays, shadow)
+            open_ = shadow
+            which, soft = jnp.asarray(number), lights.soft[number]
+            for group, met, share, block, shaded in parts:
+                light = group, met, lights, which, share
+                if shaded[soft]:
+                    shadow = _towards(*light, shadow, block, stage.offset)
+                else:
+                    open_ = _towards(*light, open_, block, stage.offset)
+            if any(shaded[soft] for *_, shaded in parts):
+                rays = queries.lit(rays, shadow)
+            if not all(shaded[soft] for *_, shaded in parts):
+                rays = _lit(rays, open_)
         return rays, born
+
+    def _blocks(
+        self, stage: Stage, rows: np.ndarray, hits: Hits, count: int
+    ) -> list[tuple[Array, tuple[bool, bool]]]:
+        """Blocks of rows, and whether hard and soft shadows fall on all in a block or on none."""
+        what = self.composition
+        if what.hard is None and what.soft is None:
+            return [(block, (True, True)) for block in shading.blocks(rows, count)]
+        owner = stage.owner[hits.primitive[rows]]
+        hard, soft = what.receivers(False, owner), what.receivers(True, owner)
+        found = []
+        for kind in ((True, True), (True, False), (False, True), (False, False)):
+            here = rows[(hard == kind[0]) & (soft == kind[1])]
+            if len(here):
+                found += [(block, kind) for block in shading.blocks(here, count)]
+        return found
 
 
 def _lobes(group: Group, dtype: Any) -> int:
@@ -165,11 +205,14 @@ def _shade(
     table: Albedos | None,
     ambient: Float[Array, " C"],
     field: Field | None,
+    emission: bool,
 ) -> tuple[Rays, Meeting]:
     """Where rows meet a group; what it emits and what it reflects of even light."""
     some, there = shading.chosen(rays, hits, rows)
     met = shading.meet(group, world, some, there, member)
-    light = shading.emitted(met, sources, some, drawn=False)
+    light = jnp.zeros_like(met.throughput)
+    if emission:
+        light = shading.emitted(met, sources, some, drawn=False)
     if table is not None:
         even = ambient[None]
         if field is not None:
@@ -268,9 +311,13 @@ def _children(
     children: list[Rays],
     rows: Int[Array, " n"],
     offset: Array,
-    straight: bool,
+    kept: tuple[bool, bool, bool],
 ) -> list[Rays]:
-    """Rays that go on from rows: coherent reflection and refraction, or straight through."""
+    """Rays that go on from rows: coherent reflection and refraction, or straight through.
+
+    `kept` says whether they go straight, and whether reflection and refraction are in.
+    """
+    straight, reflection, refraction = kept
 
     def lobes(material: Any, wo: Array) -> Any:
         if not straight:
@@ -288,6 +335,9 @@ def _children(
         towards = met.surface.outwards(wi)
         throughput = met.throughput * group.converted(weight)
         lives = jax.lax.stop_gradient(throughput.max(-1)) > _FAINT
+        if not straight:
+            through = wi[:, 2] * met.wo[:, 2] < 0.0
+            lives = lives & jnp.where(through, refraction, reflection)
         way = shading.leaving(met.surface, towards, offset), towards
         fixed = jax.lax.stop_gradient(way)
         out.append(
@@ -303,6 +353,12 @@ def _children(
             )
         )
     return out
+
+
+@eqx.filter_jit
+def _lit(rays: Rays, shadow: Shadow) -> Rays:
+    """Add light that nothing is asked to hide."""
+    return dataclasses.replace(rays, radiance=rays.radiance + shadow.value)
 
 
 @jax.jit

@@ -30,9 +30,7 @@ Progress = Callable[[int, int], None]
 
 # Samples of a pixel in one pass, at most.
 _TOGETHER = 16
-# Fractions of the golden ratio's generalisation to two dimensions (Roberts 2018): points that
-# fill the square evenly.
-_PLASTIC = 1.32471795724474602596
+_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
 def tiles(camera: Camera, settings: Settings) -> tuple[list[np.ndarray], int]:
@@ -149,11 +147,18 @@ def primary(
 
 
 def within_pixel(count: int) -> Float[np.ndarray, "S 2"]:
-    """Places of samples within a pixel: its middle for one, else points that fill it."""
-    if count == 1:
-        return np.full((1, 2), 0.5)
-    step = np.array([1.0 / _PLASTIC, 1.0 / _PLASTIC**2])
-    return (0.5 + np.arange(count)[:, None] * step) % 1.0
+    """Places of samples within a pixel: its middle for one, else a lattice that fills it.
+
+    Point i of S has the coordinates (i + 1/2) / S and (j + 1/2) / S, j + 1 = g (i + 1) modulo
+    S + 1: each S-th part of a row and of a column holds one (four of them are the rotated grid
+    of graphics hardware), and their mean is the middle. The generator g is the whole number
+    coprime to S + 1 that is nearest to its golden section (Korobov, 1959).
+    """
+    whole = count + 1
+    near = sorted(range(1, whole), key=lambda g: abs(g - _GOLDEN * whole))
+    generator = next(g for g in near if math.gcd(g, whole) == 1)
+    place = np.arange(1, whole)
+    return (np.stack([place, generator * place % whole], -1) - 0.5) / count
 
 
 @jax.jit

@@ -146,6 +146,10 @@ class Composition:
         return allowed & (coherent(code) < self.mirrors)
 
 
+#: All effects.
+EVERYTHING = Composition()
+
+
 def scattered(code: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
     """How often paths were scattered."""
     return code >> _SCATTERED

@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,13 +26,13 @@ def npz(image: "Image", path: Path, exposure: float | None) -> None:
     """Write the arrays, and how they were made."""
     del exposure
     names = ("radiance", "error", "depth", "normal", "object", "done")
-    arrays = {name: getattr(image, name) for name in names}
+    arrays: dict[str, Any] = {name: getattr(image, name) for name in names}
+    arrays |= {f"layer {name}": part for name, part in image.layers.items()}
     lam = image.channels.wavelengths
     with replacing(path) as file:
         np.savez_compressed(
             file,
             **arrays,
-            **{f"layer {name}": part for name, part in image.layers.items()},
             rgb=image.rgb,
             wavelengths=np.asarray([] if lam is None else lam),
             summary=np.asarray(json.dumps(image.summary())),

@@ -27,8 +27,8 @@ class Stage:
         The shapes.
     groups
         The materials.
-    group, member
-        Of each primitive, [P]; `member` is padded as the world is.
+    group, member, owner
+        Of each primitive, [P]; `member` is padded as the world is. `owner` is its object.
     sources
         The lights.
     offset
@@ -41,6 +41,7 @@ class Stage:
     groups: tuple[Group, ...]
     group: Int[np.ndarray, " P"]
     member: Int[Array, " P"]
+    owner: Int[np.ndarray, " P"]
     sources: Sources
     offset: Float[Array, ""]
     held: tuple[Group, ...] | None
@@ -71,6 +72,7 @@ class Stage:
             "groups": found.groups,
             "group": group,
             "member": jnp.asarray(lengthened(member)),
+            "owner": owner,
             "sources": lights,
             "offset": jnp.asarray(raycasting.OFFSET * geometry.radius, dtype),
             "held": None if held is None else grouped(held, dtype).groups,

@@ -33,6 +33,9 @@ class StandIns(eqx.Module):
         Their number.
     has_ambient
         Whether there is ambient light.
+    soft
+        Of each beam, then of each point, whether it stands for light from more than one
+        direction.
     """
 
     beams: Beams
@@ -41,6 +44,7 @@ class StandIns(eqx.Module):
     even: Float[Array, " C"] | None
     last: int = eqx.field(static=True)
     has_ambient: bool = eqx.field(static=True)
+    soft: tuple[bool, ...] = eqx.field(static=True)
 
     @property
     def count(self) -> int:
@@ -66,16 +70,22 @@ def stand_ins(sources: Sources, count: int, sky: bool) -> StandIns:
     ambient, even = sources.ambient, None
     beams: list[tuple[Array, Array]] = []
     points: list[tuple[Array, ...]] = []
+    soft_beams: list[bool] = []
+    soft_points: list[bool] = []
     for one in sources.families:
         if isinstance(one, Beams):
             beams.append((one.towards, one.irradiance))
+            soft_beams += [False] * one.towards.shape[0]
         elif isinstance(one, Points):
             points.append((one.position, one.aim, one.intensity, one.exponent, one.falloff))
+            soft_points += [False] * one.exponent.shape[0]
         elif isinstance(one, Surfaces):
             points.append(_on_surfaces(one, numbers))
+            soft_points += [True] * count
         elif isinstance(one, Sky | LobeSky):
             drawn = one.draw(numbers, jnp.zeros_like(numbers))
             beams.append((drawn.towards, drawn.value / count))
+            soft_beams += [True] * count
     if sources.constant is not None:
         if sky:
             z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
@@ -85,6 +95,7 @@ def stand_ins(sources: Sources, count: int, sky: bool) -> StandIns:
             even = sources.constant
             each = even * (4.0 * np.pi / count)
             beams.append((towards, jnp.broadcast_to(each, (count, channels))))
+            soft_beams += [True] * count
         else:
             ambient = ambient + sources.constant
     none = jnp.zeros((0, 3), dtype), jnp.zeros((0, channels), dtype)
@@ -97,6 +108,7 @@ def stand_ins(sources: Sources, count: int, sky: bool) -> StandIns:
         even,
         0 if even is None else count,
         sources.has_ambient or (sources.constant is not None and not sky),
+        (*soft_beams, *soft_points),
     )
 
 
