@@ -30,6 +30,7 @@
 `materials`            how surfaces scatter light: values, samples, densities, albedos
 `scenes`               objects, lights and cameras
 `rendering`            pictures of scenes, at several levels of image synthesis
+`planning`             which effects a picture calls for
 `shadows`              soft shadows of deforming objects
 `transfer`             glossy surfaces relit from precomputed transfer
 `workers`              work of several threads, in order
@@ -61,6 +62,8 @@ from diffopt.errors import InputError as InputError
 from diffopt.heightfield import Heightfield as Heightfield
 from diffopt.lobes import Lobes as Lobes
 from diffopt.materials.phong import BlinnPhong as BlinnPhong
+from diffopt.planning.choosing import plan as plan
+from diffopt.planning.plans import Plan as Plan
 from diffopt.rendering.images import Image as Image
 from diffopt.rendering.synthesis import record as record
 from diffopt.rendering.synthesis import render as render

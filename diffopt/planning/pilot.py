@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from diffopt.rendering import driver, effects
 from diffopt.rendering.composed import Walk
-from diffopt.rendering.effects import BITS, SHADOWS, Composition
+from diffopt.rendering.effects import BITS, OF_SOFT, SHADOWS, Composition
 from diffopt.rendering.queries import Queries
 from diffopt.rendering.settings import PathSettings
 from diffopt.rendering.stage import Stage
@@ -47,6 +47,8 @@ class Pilot:
         Number of pixels, and of paths of each.
     rays
         Number of rays cast, by what for; see `Walk`.
+    again
+        Share of the rays from the first surface that scatters light which meet a surface.
     """
 
     code: Int[np.ndarray, " M"]
@@ -56,6 +58,7 @@ class Pilot:
     pixels: int
     paths: int
     rays: dict[str, int]
+    again: float
 
     @property
     def light(self) -> np.ndarray:
@@ -77,6 +80,22 @@ class Pilot:
         dark = ~self.light & ~gone & ((self.code & mask & SHADOW_BITS) != 0)
         return (gone & self.light) | dark
 
+    def hidden(self, soft: bool, composition: Composition) -> np.ndarray:
+        """Which notes are of shadows of a composition in one kind of light, [M]."""
+        kept = [name for name in SHADOWS if composition.holds(name)]
+        bits = sum(BITS[name] for name in kept)
+        of_soft = (self.code & OF_SOFT) != 0
+        lost = self.lost(composition.excluded, composition.bounces, composition.coherent)
+        return ~self.light & ~lost & (of_soft == soft) & ((self.code & bits) != 0)
+
+    def bare(self, composition: Composition) -> np.ndarray:
+        """Which notes are of shadows on objects that a composition has none on, [M]."""
+        out = np.zeros(len(self.code), bool)
+        for soft in (False, True):
+            falls = composition.receivers(soft, self.owner)
+            out |= self.hidden(soft, composition) & ~falls
+        return out
+
     def share(self, which: np.ndarray) -> tuple[float, float]:
         """Magnitude of some notes over all light, and a bound of it.
 
@@ -86,6 +105,8 @@ class Pilot:
         """
         total = max(self.total, 1e-30)
         some = np.abs(self.luminance[which])
+        if self.total <= 0.0:
+            return 0.0, 0.0
         estimate = float(some.sum()) / total
         spread = math.sqrt(float((some**2).sum())) / total
         return estimate, estimate + max(3.0 * spread, 30.0 / (self.pixels * self.paths))
@@ -154,6 +175,7 @@ def fly(
     runs, together = driver.tiles(small, settings)
     notes = _Notes(scene.channels.luminance())
     rays: collections.Counter[str] = collections.Counter()
+    first = np.zeros(2)
     for run in runs:
         for first in range(0, paths, together):
             primary = driver.primary(
@@ -164,10 +186,14 @@ def fly(
             walk = Walk(composition, notes)
             walk.trace(stage, primary, Queries(caster), key)
             rays.update(walk.rays)
+            first += walk.first
     none = np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64)
-    fields = [np.concatenate(part) for part in zip(none, *notes.notes, strict=True)]
+    code, sample, luminance, owner = (
+        np.concatenate(part) for part in zip(none, *notes.notes, strict=True)
+    )
     count = small.resolution[0] * small.resolution[1]
-    return Pilot(*fields, count, paths, dict(rays))
+    again = float(first[1] / max(first[0], 1.0))
+    return Pilot(code, sample, luminance, owner, count, paths, dict(rays), again)
 
 
 def resolution(camera: Camera, pixels: int) -> tuple[int, int]:

@@ -17,6 +17,7 @@ from diffopt.rendering.effects import (
     GLOSSY,
     LAYERS,
     MATTE,
+    OF_SOFT,
     SHADOWS,
     Composition,
     after,
@@ -185,12 +186,16 @@ class Walk:
     ----------
     rays
         Number of rays cast by what they were cast for: ``camera``, an effect of `effects.PATHS`,
-        or ``light``: for light that paths meet.
+        ``interreflection``, or ``light``: for light that paths meet.
+    first
+        Rays that leave the first surface that scatters light, and those that meet a surface
+        again.
     """
 
     def __init__(self, composition: Composition, ledger: Ledger) -> None:
         self.composition, self.ledger = composition, ledger
         self.rays: collections.Counter[str] = collections.Counter()
+        self.first = np.zeros(2, np.int64)
 
     def trace(self, stage: Stage, rays: Rays, queries: Queries, key: PRNGKeyArray) -> None:
         """Follow rays of the camera to their end.
@@ -214,6 +219,8 @@ class Walk:
                 return
             self._missed(stage, rays, state, alive[hits.primitive[alive] < 0], size)
             met = alive[hits.primitive[alive] >= 0]
+            once = [scattered(state.code[k]) == 1 for k in (alive, met)]
+            self.first += [int(some.sum()) for some in once]
             if self.ledger.shadows and stage.sources.constant is not None:
                 self._hidden_sky(stage, rays, state.of(met), met, owners[hits.primitive[met]])
             found, states = [], []
@@ -358,6 +365,7 @@ class Walk:
             at = asked[hidden]
             own = owner[hidden] == some.owner[at]
             bit = np.where(own, _SELF, np.where(soft[at], _SOFT, _HARD))
+            bit = bit | np.where(soft[at], OF_SOFT, 0)
             whole = 1.0 / np.maximum(np.asarray(told.weight)[at], 1e-6)[:, None]
             for found, code in zip(values, codes, strict=True):
                 self.ledger.add(some.home[at], code[at] | bit, -found[at] * whole, some.owner[at])
@@ -375,7 +383,7 @@ class Walk:
         behind = (some.kind <= GLOSSY) & (some.owner >= 0)
         sky = np.asarray(stage.sources.constant)
         value = np.asarray(rays.throughput)[met[behind]] * sky[None]
-        bit = np.where(owner[behind] == some.owner[behind], _SELF, _SOFT)
+        bit = np.where(owner[behind] == some.owner[behind], _SELF, _SOFT) | OF_SOFT
         self.ledger.add(some.home[behind], some.code[behind] | bit, -value, some.owner[behind])
 
     def _add(self, home: np.ndarray, code: np.ndarray, values: np.ndarray) -> None:

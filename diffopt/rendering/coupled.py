@@ -12,6 +12,7 @@ import numpy as np
 from diffopt.rendering import radiosity
 from diffopt.rendering.albedos import Albedos
 from diffopt.rendering.direct import Direct
+from diffopt.rendering.effects import EVERYTHING, Composition
 from diffopt.rendering.radiosity import Transport
 from diffopt.rendering.radiosity_settings import RadiositySettings
 from diffopt.rendering.settings import RecursiveSettings
@@ -28,9 +29,16 @@ class Coupled(Direct):
         How the picture is gathered.
     transport
         Of the scene, from `radiosity.prepare`.
+    composition
+        As of `Direct`.
     """
 
-    def __init__(self, settings: RadiositySettings, transport: Transport) -> None:
+    def __init__(
+        self,
+        settings: RadiositySettings,
+        transport: Transport,
+        composition: Composition = EVERYTHING,
+    ) -> None:
         rays = RecursiveSettings(
             spp=settings.spp,
             seed=settings.seed,
@@ -39,7 +47,7 @@ class Coupled(Direct):
             light_samples=settings.light_samples,
             depth=settings.depth if settings.coherent else 0,
         )
-        super().__init__(rays)
+        super().__init__(rays, None, composition)
         self.transport, self.gather = transport, settings.gather
 
     def _prepare(self, stage: Stage) -> tuple[StandIns, list[Albedos | None]]:

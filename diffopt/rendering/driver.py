@@ -51,6 +51,7 @@ def picture(
     dtype: Any = "float32",
     progress: Progress | None = None,
     workers: int = 1,
+    stage: Stage | None = None,
 ) -> Image:
     """Picture of a scene by one level.
 
@@ -68,11 +69,13 @@ def picture(
         Told of the tiles.
     workers
         Passes followed at a time, each by a thread. The picture does not depend on it.
+    stage
+        The scene as arrays, where it is prepared already.
 
     A keyboard interrupt ends the work and keeps the finished tiles; see `Image.done`.
     """
     begin = time.perf_counter()
-    stage = Stage(scene, dtype)
+    stage = Stage(scene, dtype) if stage is None else stage
     caster = raycasting.caster(scene.geometry, settings.backend)
     key = jax.random.key(settings.seed)
     runs, together = tiles(camera, settings)

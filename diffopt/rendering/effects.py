@@ -54,6 +54,8 @@ LAYERS = (
 #: reflected or transmitted as by a perfect mirror or smooth glass.
 MATTE, GLOSSY, REFLECTED, TRANSMITTED = range(4)
 
+#: Bit of a shadow in the light of surfaces or surroundings, beside that of the shadow itself.
+OF_SOFT = 1 << 15
 # Where the counts of a code are.
 _COHERENT, _SCATTERED = 16, 32
 _COUNT = 0xFFFF

@@ -2,14 +2,16 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 from diffopt import checks, workers
 from diffopt.errors import InputError
 from diffopt.rendering import driver, radiosity
 from diffopt.rendering.ambient import ambient_radiance
+from diffopt.rendering.composed import Composed
 from diffopt.rendering.coupled import Coupled
 from diffopt.rendering.direct import Direct
+from diffopt.rendering.effects import EVERYTHING, Composition
 from diffopt.rendering.images import Image
 from diffopt.rendering.pathtrace import Paths
 from diffopt.rendering.radiosity_settings import RadiosityRaysSettings, RadiositySettings
@@ -36,14 +38,37 @@ LEVELS: dict[str, type[Settings]] = {
 }
 
 
+# Bounces of layers where a plan has another level.
+_DEEPEST = 64
+
+
+class Planned(Protocol):
+    """What a plan tells of a picture; see `diffopt.planning.Plan`."""
+
+    @property
+    def settings(self) -> Settings:
+        """Of the level."""
+        ...
+
+    @property
+    def composition(self) -> Composition:
+        """What is in."""
+        ...
+
+    def scene(self, scene: Scene) -> Scene:
+        """The scene without what is out."""
+        ...
+
+
 def render(
     scene: Scene,
     camera: Camera,
-    level: str = "path",
+    level: "str | Planned" = "path",
     *,
     settings: Settings | None = None,
     dtype: Any = "float32",
     progress: driver.Progress | None = None,
+    layers: bool = False,
     **options: Any,
 ) -> Image:
     """Render a scene.
@@ -57,13 +82,16 @@ def render(
         ``"recursive"``: with shadows, mirrors and glass. ``"radiosity"``: light between
         surfaces that scatter it evenly; ``"radiosity+rays"``: and mirrors and glass.
         ``"path"``: everything, with noise of a stated standard error: the reference for the
-        others.
+        others. Or a plan (`diffopt.plan`): its effects and no others.
     settings
-        Of the level, instead of `level` and options.
+        Of the level, instead of `level` and options; of a plan, instead of its own.
     dtype
         "float32" or "float64" (where JAX has it enabled).
     progress
         Called with (tiles done, tiles in all).
+    layers
+        Keep the light of each effect apart, see `Image.layers`: by paths, also where the
+        plan's level would be another one.
     **options
         Fields of the level's settings, such as ``spp=256`` or ``seed=1``.
 
@@ -77,13 +105,23 @@ def render(
     InputError
         For another level, or an option that its settings do not have.
     """
+    composition = None
+    if not isinstance(level, str):
+        settings = _changed(level.settings if settings is None else settings, options)
+        scene, composition, level, options = level.scene(scene), level.composition, "path", {}
     chosen = chosen_settings(level, settings, options)
+    if layers and not isinstance(chosen, PathSettings):
+        if composition is None:
+            raise InputError(f"layers are kept by paths; received the level {chosen.level}")
+        shared = {f.name: getattr(chosen, f.name) for f in dataclasses.fields(Settings)}
+        chosen = PathSettings(**shared, depth=_DEEPEST)
     even = not isinstance(chosen, PathSettings)
+    follow = _level(chosen, scene, composition, layers)()
     return driver.picture(
         scene,
         camera,
         chosen,
-        _level(chosen, scene)(),
+        follow,
         even=even,
         dtype=dtype,
         progress=progress,
@@ -120,16 +158,34 @@ def record(
     return View(scene, camera, chosen, _level(chosen, scene), dtype, even)
 
 
-def _level(chosen: Settings, scene: Scene) -> Callable[[], driver.Level]:
+def _changed(settings: Settings, options: dict[str, Any]) -> Settings:
+    """Settings of a plan with some of them changed."""
+    known = [field.name for field in dataclasses.fields(settings)]
+    for name in options:
+        if name not in known:
+            raise InputError(f"{settings.level} has no setting {name}; it has {', '.join(known)}")
+    return dataclasses.replace(settings, **options)
+
+
+def _level(
+    chosen: Settings,
+    scene: Scene,
+    composition: Composition | None = None,
+    layers: bool = False,
+) -> Callable[[], driver.Level]:
     """Makes what follows the rays; what is known of the scene is found once."""
     if isinstance(chosen, PathSettings):
-        return lambda: Paths(chosen)
+        if composition is None and not layers:
+            return lambda: Paths(chosen)
+        deepest = Composition(bounces=chosen.depth, coherent=chosen.depth)
+        return lambda: Composed(deepest if composition is None else composition, layers)
+    what = EVERYTHING if composition is None else composition
     if isinstance(chosen, RadiositySettings):
         transport = radiosity.prepare(scene, chosen)
-        return lambda: Coupled(chosen, transport)
+        return lambda: Coupled(chosen, transport, what)
     if isinstance(chosen, IncrementalSettings):
         ambient = ambient_radiance(scene, chosen) if chosen.ambient == "derived" else None
-        return lambda: Direct(chosen, ambient)
+        return lambda: Direct(chosen, ambient, what)
     raise InputError(f"settings must be those of a level; received {type(chosen).__name__}")
 
 
