@@ -47,7 +47,7 @@ height = 2
 radiance = 5
 facing = { origin = [4, -3, 6], target = [0, 0, 0] }
 """
-SETTINGS = transfer.TransferSettings(rays=64, finest=2, splits=1, tolerance=0.4, chunk=16)
+SETTINGS = transfer.TransferSettings(rays=256, finest=2, splits=1, tolerance=0.4)
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +96,7 @@ def test_a_picture_with_everything(at, tmp_path, capsys, monkeypatch):
     # Shares of the light are of the same picture.
     assert sum(found["layers"].values()) == pytest.approx(1.0, abs=1e-4)
     assert set(found["differences"]) == {"found", "initial"}
-    # 64 rays from few vertices, 16 paths: the same picture, roughly.
+    # 256 rays from few vertices, 16 paths: the same picture, roughly.
     assert found["differences"]["found"]["rmse"] < 0.7
 
 

@@ -33,7 +33,7 @@ from diffopt.transfer import infinity, pictures, tessellation
 from diffopt.transfer.backgrounds import Background
 from diffopt.transfer.precomputation import precompute
 
-SETTINGS = transfer.TransferSettings(rays=64, finest=2, splits=1, tolerance=0.4, chunk=16)
+SETTINGS = transfer.TransferSettings(rays=256, finest=2, splits=1, tolerance=0.4)
 CAMERA = Camera((0.4, -4.6, 2.4), (0.0, 0.0, 0.1), resolution=(40, 30), field_of_view=40.0)
 RGB = Channels()
 
@@ -341,7 +341,7 @@ def test_a_comparison_against_path_tracing(held, relit, scene):
         ours, np.roll(ours, 1, axis=1), image.rgb, image.error, image.object >= 0, 0.5
     )
     fine, coarse = compared.numbers
-    # 64 rays and 100 vertices: a tenth of the mean and more at contacts, but the same picture; one
+    # 256 rays and 100 vertices: a tenth of the mean and more at contacts, but the same picture; one
     # that is moved by a pixel is further off.
     assert fine.rmse < 0.35
     assert fine.noise < 0.1

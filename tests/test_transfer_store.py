@@ -31,7 +31,8 @@ from diffopt.transfer.slices import Slices
 from diffopt.transfer.views import hemisphere
 from diffopt.transfer.working import Working
 
-SETTINGS = TransferSettings(rays=64, finest=2, splits=1, tolerance=0.4, chunk=16)
+# As the other tests of transfer have it, so that they share programs.
+SETTINGS = TransferSettings(rays=256, finest=2, splits=1, tolerance=0.4)
 
 FILE = """
 [camera]
@@ -62,7 +63,7 @@ height = 1
 radiance = 5
 facing = { origin = [2, 0, 6], target = [0, 0, 0] }
 """
-WORDS = ["--rays", "64", "--finest", "2", "--splits", "1", "--tolerance", "0.4"]
+WORDS = ["--rays", "256", "--finest", "2", "--splits", "1", "--tolerance", "0.4"]
 
 
 @pytest.fixture(scope="module")
@@ -205,7 +206,7 @@ def test_colours_lobes_and_matte_surfaces(tmp_path):
     floor = Object(do.scenes.Plane(4.0, 4.0), Lambert((0.8, 0.4, 0.1)))
     turned = np.array([[0, 0, 1, -1], [0, 1, 0, 0], [-1, 0, 0, 0.5], [0, 0, 0, 1]], float)
     wall = Object(do.scenes.Plane(1.0, 1.0), BlinnPhong((0.2, 0.5, 0.9), 8.0), turned)
-    settings = dataclasses.replace(SETTINGS, splits=0, lobes=2)
+    settings = dataclasses.replace(SETTINGS, splits=0, lobes=2, finest=1)
     for objects in ([floor, wall], [floor]):
         found = precompute(Scene(objects), settings)
         assert found.channels == 3
@@ -268,7 +269,7 @@ KILLED = """
     from diffopt.transfer.settings import TransferSettings
     from diffopt.transfer.working import Working
 
-    settings = TransferSettings(rays=64, finest=2, splits=1, tolerance=0.4, chunk=16)
+    settings = TransferSettings(rays=256, finest=2, splits=1, tolerance=0.4)
     found = do.scenes.load_scene(sys.argv[1]).scene
     scene = Scene([one for one in found.objects if one.emission is None])
     batches = Working(store.begin(sys.argv[2]), scene, settings)
