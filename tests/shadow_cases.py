@@ -2,6 +2,7 @@
 
 import functools
 
+import equinox as eqx
 import numpy as np
 import trimesh
 
@@ -39,6 +40,12 @@ SHAPES = ("torus", "capsule", "cube", "plate", "small", "aside")
 
 def field(name, settings, **options):
     return shadow_field(*shape(name), settings, centre=ORIGIN, radius=1.0, **options)
+
+
+@eqx.filter_jit
+def coefficients(field, points):
+    """Of a field at points, in one program."""
+    return field.coefficients(points)
 
 
 def turned(seed):
