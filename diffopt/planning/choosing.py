@@ -87,8 +87,15 @@ def plan(
     composition = _receivers(seen, composition, len(scene.objects), rest)
     small = reduced(scene, out)
     again = pilot.fly(small, camera, composition, seed=seed, backend=backend)
-    settings, noise, seconds, shares = costs.settings(
-        small, camera, again, seen, composition, NOISE * tolerance, most_spp, seed, backend
+    settings, noise, seconds, shares = costs.affordable(
+        small,
+        camera,
+        again,
+        seen,
+        composition,
+        NOISE * tolerance,
+        most_spp,
+        {"seed": seed, "backend": backend},
     )
     bias = _bias(seen, stage, out, replaced, composition)
     rows = tuple(
@@ -181,7 +188,7 @@ def _bias(
 
 def _depths(seen: Pilot, out: frozenset[str], rest: float) -> Composition:
     """The composition with as few bounces as the rest of a budget allows."""
-    best = {"bounces": _DEEPEST, "coherent": _DEEPEST}
+    best: dict[str, int] = {"bounces": _DEEPEST, "coherent": _DEEPEST}
     for name, least in (("bounces", 1), ("coherent", 0)):
         known = seen.share(seen.lost(out, **best))[1]
         for depth in range(least, _DEEPEST):
@@ -189,7 +196,9 @@ def _depths(seen: Pilot, out: frozenset[str], rest: float) -> Composition:
             if seen.share(seen.lost(out, **trial))[1] - known <= 0.5 * rest:
                 best = trial
                 break
-    return Composition(excluded=out & frozenset(PATHS), **best)
+    return Composition(
+        excluded=out & frozenset(PATHS), bounces=best["bounces"], coherent=best["coherent"]
+    )
 
 
 def _receivers(seen: Pilot, composition: Composition, objects: int, rest: float) -> Composition:

@@ -13,6 +13,7 @@ import math
 from typing import Any, NamedTuple
 
 from diffopt.planning.pilot import Pilot
+from diffopt.rendering import effects
 from diffopt.rendering.effects import Composition
 from diffopt.rendering.families import Beams, Points, Surfaces
 from diffopt.rendering.radiosity_settings import RadiosityRaysSettings, RadiositySettings
@@ -27,14 +28,17 @@ from diffopt.scenes.scene import Scene
 _PATH_RAY, _EVEN_RAY, _SHADOW_RAY = 1.2e-6, 1.5e-6, 0.35e-6
 # Mean magnitude of a normal variable over its standard deviation.
 _MEAN = math.sqrt(2.0 / math.pi)
-# Error of s samples in a pixel, in spreads between paths, times s^0.75.
-_PIXEL = 0.35
+# Error of s samples in a pixel, times s^0.8: in the spread within pixels of the light that is
+# seen without being scattered, and the rest.
+_SEEN, _EDGES = 0.65, 0.02
 # Error of n points of surfaces that emit and of surroundings, in their light, times n^0.7.
-_EMITTERS, _SKY = 0.3, 0.7
+_EMITTERS, _SKY = 0.4, 0.9
 # Numbers of patches; their error, in the light between surfaces; seconds of their solution.
 _PATCHES = ((300, 0.06, 0.5), (1000, 0.035, 1.5), (4000, 0.02, 9.0))
 # Most samples of a pixel, and points of a light, of pictures without noise.
 _SAMPLES, _LIGHT = 64, 256
+# Errors that are as good as the least one, in it.
+_NEARLY = 1.3
 
 
 class Choice(NamedTuple):
@@ -45,7 +49,7 @@ class Choice(NamedTuple):
     seconds: float
 
 
-def settings(
+def affordable(
     scene: Scene,
     camera: Camera,
     planned: Pilot,
@@ -53,8 +57,7 @@ def settings(
     composition: Composition,
     noise: float,
     most: int,
-    seed: int,
-    backend: str,
+    shared: dict[str, Any],
 ) -> tuple[Settings, float, float, dict[str, float]]:
     """The cheapest level and its settings.
 
@@ -70,8 +73,8 @@ def settings(
         Mean magnitude that is wanted, over the mean luminance.
     most
         Paths of a pixel, at most.
-    seed, backend
-        Of the settings.
+    shared
+        Seed and backend of the settings.
 
     Returns
     -------
@@ -79,12 +82,12 @@ def settings(
         Settings, predicted noise, seconds, and the share of each effect in them.
     """
     pixels = camera.resolution[0] * camera.resolution[1]
-    shared = {"seed": seed, "backend": backend}
     found = [_paths(pixels, planned, composition, noise, most, shared)]
     found += _even(scene, pixels, planned, seen, composition, noise, shared)
-    enough = [one for one in found if one.error <= noise]
-    best = min(enough, key=lambda c: c.seconds) if enough else min(found, key=lambda c: c.error)
-    return *best, _shares(planned, seen, composition)
+    # Where none is good enough, the cheapest of those that are nearly the best.
+    least = max(noise, _NEARLY * min(one.error for one in found))
+    best = min((one for one in found if one.error <= least), key=lambda c: c.seconds)
+    return best.settings, best.error, best.seconds, _shares(planned, seen, composition)
 
 
 def _paths(
@@ -121,18 +124,21 @@ def _even(
     if (sky or emitters) and composition.holds("glossy-light"):
         # Points in place of a wide light are seen in glossy surfaces.
         return []
-    light = seen.share(seen.lost(["matte-light"]) & seen.light)[0]
+    light = seen.share(seen.light & (effects.scattered(seen.code) == 1))[0]
     shadows = bool(composition.hard or composition.soft)
     even_sky = sources.constant is not None and shadows
     wide = light * (_EMITTERS * bool(emitters) + _SKY * (bool(sky) or even_sky))
-    spread = _PIXEL * planned.noise(planned.light)
+    straight = planned.light & (effects.scattered(planned.code) == 0)
+    # Edges take a share of the pixels that falls with their size.
+    finer = math.sqrt(planned.pixels / pixels)
+    spread = (_SEEN * planned.noise(straight) + _EDGES) * finer
     between = seen.share(seen.lost(["diffuse-interreflection"]))[0]
     found = []
     for patches, coarse, solved in _PATCHES if composition.scattered > 1 else ((0, 0.0, 0.0),):
         rest = 0.5 * max(noise - coarse * between, 0.1 * noise)
-        samples = _power((spread / rest) ** (1.0 / 0.75), 4, _SAMPLES)
+        samples = _power((spread / rest) ** (1.0 / 0.8), 4, _SAMPLES)
         points = _power((wide / rest) ** (1.0 / 0.7), 16, _LIGHT) if wide else 16
-        error = coarse * between + spread / samples**0.75 + wide / points**0.7
+        error = coarse * between + spread / samples**0.8 + wide / points**0.7
         lights = points * (len(sky) + len(emitters) + even_sky) + _abstract(sources)
         seen_rays = sum(planned.rays.get(k, 0) for k in ("camera", "mirror", "refraction"))
         rays = pixels * samples * seen_rays / max(planned.rays.get("camera", 0), 1)
