@@ -142,7 +142,7 @@ def test_unoccluded_lobes_under_a_lobe_of_light(exponent, rng):
     for view in wo:
         mirrored = jnp.asarray(view * [-1, -1, 1], jnp.float32)
         core = jnp.asarray(2.0 / np.sqrt(exponent + 4.0), jnp.float32)
-        d, solid = quadrature.polar_grid(mirrored, 300, 200, core)
+        d, solid = quadrature.polar_grid(mirrored, 100, 80, core)
         f = np.asarray(material.f(np.asarray(d, float), np.tile(view, (len(d), 1))), np.float64)
         radiance = np.asarray(
             vmf.pdf(d, jnp.asarray(axis[None], jnp.float32), jnp.asarray([8.0], jnp.float32))
