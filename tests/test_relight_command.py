@@ -64,6 +64,17 @@ def at(tmp_path_factory):
     return folder
 
 
+@pytest.fixture(scope="module")
+def sky(at):
+    """A small map, brighter above, with a bright patch: lights of the scene take seconds each."""
+    rows = np.linspace(1.5, 0.2, 16)[:, None, None]
+    image = rows * np.ones((1, 32, 3)) * np.array([1.0, 0.7, 0.4])
+    image[3:5, 5:8] = 20.0
+    file = at / "sky.npy"
+    np.save(file, image)
+    return file
+
+
 def words(at, *more):
     return ["relight", str(at / "ring.zarr"), str(at / "ring.toml"), "-o", *map(str, more)]
 
@@ -100,9 +111,10 @@ def test_a_picture_with_everything(at, tmp_path, capsys, monkeypatch):
     assert found["differences"]["found"]["rmse"] < 0.7
 
 
-def test_frames_turn_the_lights_or_the_camera(at, tmp_path, capsys):
+def test_frames_turn_the_lights_or_the_camera(at, sky, tmp_path, capsys):
     still, around = tmp_path / "turned", tmp_path / "orbited"
     few = ["--frames", "3", "--samples", "1", "--size", "16x12", "--per-vertex"]
+    few += ["--environment", sky]
     assert main(words(at, still, *few)) == 0
     assert "frame_0000.png .. frame_0002.png, animation.gif" in capsys.readouterr().out
     assert main(words(at, around, *few, "--orbit", "--quiet")) == 0
@@ -118,16 +130,11 @@ def test_frames_turn_the_lights_or_the_camera(at, tmp_path, capsys):
     np.testing.assert_array_equal(*same)
 
 
-def test_maps_methods_and_exposure(at, tmp_path, capsys):
-    rows = np.linspace(1.5, 0.2, 16)[:, None, None]
-    image = rows * np.ones((1, 32, 3)) * np.array([1.0, 0.7, 0.4])
-    image[3:5, 5:8] = 20.0
-    file = tmp_path / "sky.npy"
-    np.save(file, image)
+def test_maps_methods_and_exposure(at, sky, tmp_path, capsys):
     shown = {}
     for method in ("pyramid", "lobes", "harmonics"):
         target = tmp_path / f"{method}.png"
-        given = ["--environment", file, "--method", method, "--samples", "1", "--turn", "30"]
+        given = ["--environment", sky, "--method", method, "--samples", "1", "--turn", "30"]
         # Harmonics have at most as many bands as the map has rows.
         assert main(words(at, target, *given)) == 0
         shown[method] = pixels(target)
@@ -140,12 +147,12 @@ def test_maps_methods_and_exposure(at, tmp_path, capsys):
         apart = np.abs(shown[method] - shown["pyramid"])[middle]
         assert apart.mean() < 12.0
     dark = tmp_path / "dark.png"
-    given = ["--environment", file, "--samples", "1", "--turn", "30", "--exposure", "-2", "--quiet"]
+    given = ["--environment", sky, "--samples", "1", "--turn", "30", "--exposure", "-2", "--quiet"]
     assert main(words(at, dark, *given)) == 0
     assert pixels(dark).mean() < 0.75 * shown["pyramid"].mean()
 
 
-def test_an_interrupt_keeps_what_is_finished(at, tmp_path, capsys, monkeypatch):
+def test_an_interrupt_keeps_what_is_finished(at, sky, tmp_path, capsys, monkeypatch):
     whole = Relit.turn
     seen = []
 
@@ -157,7 +164,8 @@ def test_an_interrupt_keeps_what_is_finished(at, tmp_path, capsys, monkeypatch):
 
     monkeypatch.setattr(Relit, "turn", stopping)
     out = tmp_path / "out"
-    assert main(words(at, out, "--frames", "4", "--samples", "1", "--size", "16x12")) == 130
+    few = ["--frames", "4", "--samples", "1", "--size", "16x12", "--environment", sky]
+    assert main(words(at, out, *few)) == 130
     assert (
         "interrupted: the animation holds the frames that are finished" in capsys.readouterr().out
     )

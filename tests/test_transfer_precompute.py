@@ -215,7 +215,7 @@ def test_programs_serve_all_lights_and_cameras(held, raster):
 
 def test_slopes_in_the_pixels_of_the_sky(held, seen, rng):
     """The picture is linear in them."""
-    base, along = sky(16), rng.normal(size=(16, 32))
+    base, along = sky(8), rng.normal(size=(8, 16))
 
     def mean(pixels):
         light = prepare([Environment(pixels)], RGB)
