@@ -9,6 +9,7 @@ The constants were fitted to measured pictures of the scenes of `diffopt compare
 pixels on two cores, against 768 to 1024 paths a pixel.
 """
 
+import itertools
 import math
 from typing import Any, NamedTuple
 
@@ -35,8 +36,8 @@ _SEEN, _EDGES = 0.65, 0.02
 _EMITTERS, _SKY = 0.4, 0.9
 # Numbers of patches; their error, in the light between surfaces; seconds of their solution.
 _PATCHES = ((300, 0.06, 0.5), (1000, 0.035, 1.5), (4000, 0.02, 9.0))
-# Most samples of a pixel, and points of a light, of pictures without noise.
-_SAMPLES, _LIGHT = 64, 256
+# Samples of a pixel, and points of a light, of pictures without noise.
+_SAMPLES, _LIGHT = (4, 16, 64), (16, 32, 64, 128, 256)
 # Errors that are as good as the least one, in it.
 _NEARLY = 1.3
 
@@ -133,26 +134,25 @@ def _even(
     finer = math.sqrt(planned.pixels / pixels)
     spread = (_SEEN * planned.noise(straight) + _EDGES) * finer
     between = seen.share(seen.lost(["diffuse-interreflection"]))[0]
+    seen_rays = sum(planned.rays.get(k, 0) for k in ("camera", "mirror", "refraction"))
+    followed = pixels * seen_rays / max(planned.rays.get("camera", 0), 1)
+    depth = min(composition.mirrors, 64)
     found = []
     for patches, coarse, solved in _PATCHES if composition.scattered > 1 else ((0, 0.0, 0.0),):
-        rest = 0.5 * max(noise - coarse * between, 0.1 * noise)
-        samples = _power((spread / rest) ** (1.0 / 0.8), 4, _SAMPLES)
-        points = _power((wide / rest) ** (1.0 / 0.7), 16, _LIGHT) if wide else 16
-        error = coarse * between + spread / samples**0.8 + wide / points**0.7
-        lights = points * (len(sky) + len(emitters) + even_sky) + _abstract(sources)
-        seen_rays = sum(planned.rays.get(k, 0) for k in ("camera", "mirror", "refraction"))
-        rays = pixels * samples * seen_rays / max(planned.rays.get("camera", 0), 1)
-        seconds = solved + rays * (_EVEN_RAY + lights * _SHADOW_RAY)
-        same: dict[str, Any] = {**shared, "spp": samples, "light_samples": points}
-        depth = min(composition.mirrors, 64)
-        chosen: Settings
-        if not patches:
-            chosen = RecursiveSettings(shadows=shadows, depth=depth, **same)
-        elif depth:
-            chosen = RadiosityRaysSettings(patches=patches, depth=depth, **same)
-        else:
-            chosen = RadiositySettings(patches=patches, depth=0, **same)
-        found.append(Choice(chosen, error, seconds))
+        for samples, points in itertools.product(_SAMPLES, _LIGHT if wide else _LIGHT[:1]):
+            # What the three leave is independent.
+            parts = coarse * between, spread / samples**0.8, wide / points**0.7
+            lights = points * (len(sky) + len(emitters) + even_sky) + _abstract(sources)
+            seconds = solved + followed * samples * (_EVEN_RAY + lights * _SHADOW_RAY)
+            same: dict[str, Any] = {**shared, "spp": samples, "light_samples": points}
+            chosen: Settings
+            if not patches:
+                chosen = RecursiveSettings(shadows=shadows, depth=depth, **same)
+            elif depth:
+                chosen = RadiosityRaysSettings(patches=patches, depth=depth, **same)
+            else:
+                chosen = RadiositySettings(patches=patches, depth=0, **same)
+            found.append(Choice(chosen, math.hypot(*parts), seconds))
     return found
 
 

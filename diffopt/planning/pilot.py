@@ -125,7 +125,7 @@ class Pilot:
         return values / self.paths
 
 
-class _Notes:
+class Notes:
     """A ledger that keeps everything; see `diffopt.rendering.composed.Ledger`."""
 
     shadows = True
@@ -151,6 +151,7 @@ def fly(
     pixels: int = PIXELS,
     paths: int = PATHS,
     stage: Stage | None = None,
+    notes: Notes | None = None,
 ) -> Pilot:
     """Follow paths of a small picture.
 
@@ -166,6 +167,8 @@ def fly(
         Of the small picture, about, and of each pixel.
     stage
         The scene as arrays, where it is prepared already.
+    notes
+        Where what paths bring is kept.
     """
     small = dataclasses.replace(camera, resolution=resolution(camera, pixels))
     settings = PathSettings(spp=paths, seed=seed, backend=backend)
@@ -173,7 +176,7 @@ def fly(
     caster = raycasting.caster(scene.geometry, backend)
     key: Array = jax.random.key(seed)
     runs, together = driver.tiles(small, settings)
-    notes = _Notes(scene.channels.luminance())
+    notes = Notes(scene.channels.luminance()) if notes is None else notes
     rays: collections.Counter[str] = collections.Counter()
     first = np.zeros(2)
     for run in runs:
