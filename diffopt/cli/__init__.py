@@ -11,7 +11,8 @@
 `comparing`       ``diffopt compare``
 `fitting`         ``diffopt fit``; `fit_targets`: what is fitted to
 `scene`           ``diffopt scene``: scene files checked, and examples
-`render`          ``diffopt render``: their pictures
+`plan`            ``diffopt plan``: effects that a picture calls for
+`render`          ``diffopt render``: their pictures (`render_output`)
 `precompute`      ``diffopt precompute``: transfer into a store (`precompute_tables`)
 `relight`         ``diffopt relight``: pictures by it (`relight_output`)
 `shadow`          ``diffopt shadow``: a deforming object and its soft shadow (`film`)

@@ -15,6 +15,7 @@ from diffopt.cli import (
     fitting,
     inspection,
     material,
+    plan,
     precompute,
     relight,
     render,
@@ -38,6 +39,7 @@ app.command("diffraction")(diffraction.command)
 app.command("material")(material.command)
 app.add_typer(fitting.app, name="fit")
 app.add_typer(scene.app, name="scene")
+app.command("plan")(plan.command)
 app.command("render")(render.command)
 app.command("precompute")(precompute.command)
 app.command("relight")(relight.command)

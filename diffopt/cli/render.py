@@ -1,14 +1,15 @@
 """``diffopt render``: pictures of a scene file."""
 
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from diffopt.cli.plan import MostSpp, With, Without, planned
 from diffopt.errors import InputError
 
 if TYPE_CHECKING:
+    from diffopt.planning import Plan
     from diffopt.rendering import Image
 
 #: Exit code of a picture that was interrupted.
@@ -43,12 +44,33 @@ def command(
         float | None,
         typer.Option(help="Of a .png: factor on linear values. [default: by the brightest]"),
     ] = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            help="Render by a plan, in place of a level: only the effects that a mean difference "
+            "of this share of the mean luminance calls for; see diffopt plan."
+        ),
+    ] = None,
+    include: With = None,
+    exclude: Without = None,
+    most_spp: MostSpp = None,
+    layers: Annotated[
+        bool,
+        typer.Option(
+            "--layers",
+            help="Keep the light of each effect apart, by paths: as layers of .exr and .npz, and "
+            "beside NAME.png as NAME.EFFECT.png at its exposure. Their sum is the picture; what "
+            "shadows take away is below 0, and shown in .png as its magnitude.",
+        ),
+    ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> None:
     """Picture of a scene; Ctrl-C ends it and keeps what is finished."""
     import dataclasses
 
+    from diffopt.cli import render_output
     from diffopt.cli.errors import user_input
+    from diffopt.cli.progress import terminal
     from diffopt.cli.scene import one_line
     from diffopt.rendering.images import FORMATS
     from diffopt.scenes import load_scene
@@ -63,6 +85,8 @@ def command(
             raise InputError(f"-o {target}: is a folder; expected a file")
     if exposure is not None and not 0.0 < exposure < float("inf"):
         raise InputError(f"--exposure must be a factor above 0; received {exposure:g}")
+    of_plan = {"--with": include, "--without": exclude, "--most-spp": most_spp}
+    _exclusive(tolerance, {"--level": level, "--depth": depth}, of_plan)
     resolution = pixels(size)
     with one_line(file), user_input():
         found = load_scene(file)
@@ -73,14 +97,86 @@ def command(
     brightness = options.pop("exposure", None) if exposure is None else exposure
     options.pop("exposure", None)
     words = {"spp": spp, "depth": depth, "seed": seed}
-    settings, notes = chosen(options, level, words)
-    image = picture(found.scene, camera, settings, quiet=quiet)
+    plan = None
+    if tolerance is None:
+        settings, notes = chosen(options, level, words)
+        if layers and settings.level != "path":
+            source = "of the file" if level is None else f"--level {level}"
+            raise InputError(
+                f"--layers are kept by paths: give --level path or --tolerance; the level "
+                f"{source} is {settings.level}"
+            )
+    else:
+        plan = planned(
+            found, camera, tolerance, include, exclude, most_spp=most_spp, seed=seed, quiet=quiet
+        )
+        settings, notes = by_plan(plan, options, spp)
+        if layers and settings.level != "path":
+            notes.append(
+                f"layers are kept by paths in place of {settings.level}: the predicted noise "
+                "does not hold; raise --spp for less"
+            )
+        if not quiet:
+            for line in render_output.effects(plan):
+                terminal().print(line, markup=False, soft_wrap=True)
+    image = picture(found.scene, camera, settings, plan=plan, layers=layers, quiet=quiet)
     for target in targets:
         image.save(target, exposure=brightness)
+    for target in render_output.pictures(image, targets):
+        render_output.save_layers(image, target, brightness)
     if not quiet:
-        tell(image, targets, [*found.notes, *notes])
+        render_output.tell(image, targets, [*found.notes, *notes])
     if image.interrupted:
         raise typer.Exit(INTERRUPTED)
+
+
+def _exclusive(
+    tolerance: float | None, of_level: dict[str, Any], of_plan: dict[str, Any]
+) -> None:
+    """Refuse options of a level beside a plan, and those of a plan without one."""
+    wrong = of_plan if tolerance is None else of_level
+    typed = next((option for option, value in wrong.items() if value is not None), None)
+    if typed is None:
+        return
+    if tolerance is None:
+        raise InputError(f"{typed} belongs to plans: give --tolerance too")
+    what = typed.removeprefix("--")
+    raise InputError(f"--tolerance and {typed} exclude each other: the plan chooses the {what}")
+
+
+def by_plan(plan: "Plan", options: dict[str, Any], spp: int | None) -> tuple[Any, list[str]]:
+    """Settings of a plan, changed by what was typed, and by the file where no picture changes.
+
+    Parameters
+    ----------
+    plan
+        The plan.
+    options
+        Of the file: ``level`` and its settings.
+    spp
+        As typed; None for that of the plan.
+
+    Returns
+    -------
+    tuple
+        The settings, and notes on what was left out.
+
+    Raises
+    ------
+    InputError
+        For samples out of range.
+    """
+    import dataclasses
+
+    changed: dict[str, Any] = {"rays": options["rays"]} if "rays" in options else {}
+    left = ", ".join(sorted(set(options) - {"rays", "seed", "backend"}))
+    notes = [f"{left} of the file are left out: the plan has its own"] if left else []
+    if spp is not None:
+        changed["spp"] = spp
+    try:
+        return dataclasses.replace(plan.settings, **changed), notes
+    except InputError as error:
+        raise InputError(f"--{error}") from None
 
 
 def chosen(
@@ -130,46 +226,20 @@ def chosen(
         raise InputError(text if named is None else f"--{text}") from None
 
 
-def picture(scene: Any, camera: Any, settings: Any, *, quiet: bool) -> "Image":
+def picture(
+    scene: Any, camera: Any, settings: Any, *, plan: "Plan | None", layers: bool, quiet: bool
+) -> "Image":
     """Render with a bar on the error stream, unless `quiet`."""
     from diffopt.cli.progress import stages
     from diffopt.rendering import render
 
+    given: dict[str, Any] = {"settings": settings, "layers": layers}
+    if plan is not None:
+        given["level"] = plan
     if quiet:
-        return render(scene, camera, settings=settings)
+        return render(scene, camera, **given)
     with stages(1, left=True) as progress, progress.stage(settings.level) as report:
-        return render(scene, camera, settings=settings, progress=report)
-
-
-def tell(image: "Image", targets: list[Path], notes: list[str]) -> None:
-    """Print level, time, noise and files."""
-    import numpy as np
-    from rich.table import Table
-
-    from diffopt.cli.progress import terminal
-
-    console = terminal()
-    settings, (rows, columns) = image.settings, image.done.shape
-    table = Table.grid(padding=(0, 2))
-    table.add_row("level", f"{settings.level}, {settings.spp} samples a pixel")
-    table.add_row("picture", f"{columns} x {rows} pixels, {image.channels.count} channels")
-    table.add_row("time", _duration(image.seconds))
-    if np.isfinite(image.noise):
-        kind = "standard error" if settings.level == "path" else "bound of the error"
-        table.add_row("noise", f"{100.0 * image.noise:.2g} % of the mean luminance ({kind})")
-    if image.interrupted:
-        share = f"{100.0 * image.done.mean():.0f} % of the pixels are done; the others are black"
-        table.add_row("interrupted", share)
-    table.add_row("files", ", ".join(map(str, targets)))
-    console.print(table, markup=False)
-    for note in notes:
-        console.print(f"note: {note}", markup=False)
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 120.0:
-        return f"{seconds:.3g} s"
-    return time.strftime("%H:%M:%S", time.gmtime(seconds))
+        return render(scene, camera, progress=report, **given)
 
 
 def pixels(text: str | None) -> tuple[int, int] | None:

@@ -10,8 +10,9 @@ from jaxtyping import Array, Float
 
 from diffopt import colour
 from diffopt.choice import PreparedBRDF
-from diffopt.diffraction import DiffractionBRDF, factors
+from diffopt.diffraction import DiffractionBRDF, model_factors
 from diffopt.errors import InputError
+from diffopt.fresnel import Reflectance
 from diffopt.kernels import reflectance, warps
 from diffopt.materials.base import Material, floating
 from diffopt.materials.phong import turned
@@ -25,13 +26,13 @@ class _Coherent(Material):
 
     @property
     @abc.abstractmethod
-    def _model(self) -> DiffractionBRDF:
-        """The surface's BRDF."""
+    def _window(self) -> tuple[Array, str]:
+        """Width of the coherence window, micrometres, and the prefactor."""
 
     @property
     def reciprocal(self) -> bool:
         """Of Stam's and the symmetric prefactors; those with cos_o / cos_i are not."""
-        return self._model.surface.prefactor not in ("ohs", "ghs")
+        return self._window[1] not in ("ohs", "ghs")
 
     @property
     def conserves_energy(self) -> bool:
@@ -52,7 +53,7 @@ class _Coherent(Material):
     @property
     def _exponent(self) -> Array:
         """Of a lobe four times as wide as the coherent peak of the longest wavelength."""
-        wide = 4.0 * self.wavelengths.max() / (2.0 * math.pi * self._model.surface.sigma)
+        wide = 4.0 * self.wavelengths.max() / (2.0 * math.pi * self._window[0])
         return jnp.maximum(1.0 / (wide * wide), 1.0)
 
 
@@ -109,6 +110,10 @@ class Diffraction(_Coherent):
             )
 
     @property
+    def _window(self) -> tuple[Array, str]:
+        return self._model.surface.sigma, self._model.surface.prefactor
+
+    @property
     def _rgb(self) -> bool:
         return isinstance(self.brdf, PreparedBRDF) and self.brdf.output == "xyz"
 
@@ -154,16 +159,27 @@ class FlatDiffraction(_Coherent):
         is taken at one wavelength for each primary.
     """
 
-    model: DiffractionBRDF
+    sigma: Float[Array, ""]
+    area: Float[Array, ""]
+    fresnel: Reflectance
     wavelengths: Float[Array, " L"]
     texture: Float[Array, "..."] | None
+    prefactor: str = eqx.field(static=True)
+    shadowing: str = eqx.field(static=True)
 
     def __init__(self, material: Diffraction) -> None:
         """See the class."""
-        self.model = material._model
+        model = material._model
+        self.sigma, self.prefactor = material._window
+        self.area, self.fresnel = model.coherent_area, model.fresnel
+        self.shadowing = model.shadowing
         self.texture = material.texture
         primaries = floating([0.611, 0.549, 0.465])
         self.wavelengths = primaries if material._rgb else material.wavelengths
+
+    @property
+    def _window(self) -> tuple[Array, str]:
+        return self.sigma, self.prefactor
 
     @property
     def channels(self) -> tuple[int, ...]:
@@ -175,17 +191,21 @@ class FlatDiffraction(_Coherent):
         batch = wi.shape[:-1]
         wi, wo = wi.reshape(-1, 3), wo.reshape(-1, 3)
         lam = self.wavelengths.astype(wi.dtype)
-        before = factors(self.model, wi, wo, lam, "spectral")
+        before = model_factors(
+            self.fresnel,
+            wi,
+            wo,
+            lam,
+            prefactor=self.prefactor,  # type: ignore[arg-type]
+            shadowing=self.shadowing,  # type: ignore[arg-type]
+            relative=False,
+        )
         across = (wi + wo)[:, :2]
-        wide = 2.0 * math.pi * jnp.asarray(self.model.surface.sigma, wi.dtype)
-        exponent = (wide / lam)[None, :] ** 2 * (across * across).sum(1)[:, None]
-        f = before * jnp.exp(-exponent)
+        wide = 2.0 * math.pi * self.sigma.astype(wi.dtype) / lam
+        exponent = (wide * wide)[None, :] * (across * across).sum(1)[:, None]
+        f = before * self.area.astype(wi.dtype) * jnp.exp(-exponent)
         if self.texture is not None:
-            peak = self.model.coherent_area * self.model.fresnel.normal(lam) / lam**2
+            peak = self.area * self.fresnel.normal(lam) / lam**2
             rest = 1.0 - jnp.clip(f * wi[:, 2:] / peak[None, :], 0.0, 1.0)
             f = f + rest * (jnp.broadcast_to(self.texture, lam.shape) / math.pi)[None, :]
         return f.reshape(*batch, -1)
-
-    @property
-    def _model(self) -> DiffractionBRDF:
-        return self.model

@@ -6,7 +6,7 @@ traced nor shaded, and no ray is cast for it.
 
 import collections
 import dataclasses
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
@@ -39,6 +39,7 @@ _HARD, _SOFT, _SELF = (BITS[k] for k in ("hard-shadows", "soft-shadows", "self-s
 _SHADOWS = sum(BITS[name] for name in SHADOWS)
 
 
+@runtime_checkable
 class Ledger(Protocol):
     """Takes what paths bring.
 

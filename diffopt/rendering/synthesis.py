@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from diffopt import checks, workers
 from diffopt.errors import InputError
@@ -42,6 +42,7 @@ LEVELS: dict[str, type[Settings]] = {
 _DEEPEST = 64
 
 
+@runtime_checkable
 class Planned(Protocol):
     """What a plan tells of a picture; see `diffopt.planning.Plan`."""
 
