@@ -63,7 +63,7 @@ def _sun_and_ambient() -> Subject:
 
 
 def _far_apart() -> Subject:
-    """Balls so far apart that no shadow meets another, and no light of one the other; in the sun and ambient light."""
+    """Balls in the sun and ambient light, so far apart that neither shadows nor light meet."""
     objects = [
         ball(OrenNayar((0.6, 0.4, 0.3), 0.4), x, y, 0.5, z)
         for x, y, z in ((-30.0, 60.0, -12.0), (0.0, 50.0, 8.0), (28.0, 70.0, -9.0))
