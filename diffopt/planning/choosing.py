@@ -147,10 +147,11 @@ def _excluded(
     out = set(unwanted)
     if "glossy-light" in out:
         out.add("glossy-interreflection")
-    absent = [name for name in PATHS if reasons.absent(name, stage) and name not in wanted]
-    out |= set(absent) | ({name for name in REPLACED if name not in replaced} - wanted)
-    if out & wanted:
-        raise InputError(f"{', '.join(sorted(out & wanted))} cannot be in: the scene has none")
+    absent = {name for name in PATHS if reasons.absent(name, stage)} - {"matte-light"}
+    absent |= set(REPLACED) - set(replaced)
+    if absent & wanted:
+        raise InputError(f"{', '.join(sorted(absent & wanted))} cannot be in: the scene has none")
+    out |= absent
 
     def alone(name: str) -> float:
         if name in replaced:
@@ -196,8 +197,11 @@ def _depths(seen: Pilot, out: frozenset[str], rest: float) -> Composition:
             if seen.share(seen.lost(out, **trial))[1] - known <= 0.5 * rest:
                 best = trial
                 break
+    # A scene may have no matte light to begin with; a composition cannot leave it out.
     return Composition(
-        excluded=out & frozenset(PATHS), bounces=best["bounces"], coherent=best["coherent"]
+        excluded=(out - {"matte-light"}) & frozenset(PATHS),
+        bounces=best["bounces"],
+        coherent=best["coherent"],
     )
 
 
