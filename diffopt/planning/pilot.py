@@ -180,9 +180,9 @@ def fly(
     rays: collections.Counter[str] = collections.Counter()
     first = np.zeros(2)
     for run in runs:
-        for first in range(0, paths, together):
+        for at in range(0, paths, together):
             primary = driver.primary(
-                small, stage, key, run, len(runs[0]), first, together, settings, False
+                small, stage, key, run, len(runs[0]), at, together, settings, False
             )
             pixel = np.asarray(primary.pixel, np.int64)
             notes.samples = pixel * paths + np.asarray(primary.sample, np.int64)
