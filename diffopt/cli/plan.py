@@ -101,7 +101,7 @@ def command(
     if not quiet:
         console = terminal()
         console.print(plan.table())
-        for note in file.notes:
+        for note in [*file.notes, *shortfall(plan)]:
             console.print(f"note: {note}", markup=False, soft_wrap=True)
     checked = None
     if check:
@@ -193,6 +193,18 @@ def planned(
             return planning.plan(file.scene, camera, tolerance, **given)
     except InputError as error:
         raise InputError(_renamed(str(error))) from None
+
+
+def shortfall(plan: "Plan") -> list[str]:
+    """A note where a plan predicts more than its tolerance, and what to do; else none."""
+    from diffopt.planning.choosing import NOISE
+
+    whole = plan.bias + plan.noise
+    if whole <= plan.tolerance:
+        return []
+    noisy = plan.noise > NOISE * plan.tolerance
+    why = "noise needs more samples (--most-spp)" if noisy else "--without leaves out too much"
+    return [f"{whole:.2%} predicted in all, above the tolerance: {why}"]
 
 
 def _renamed(text: str) -> str:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from diffopt.cli.plan import MostSpp, With, Without, planned
+from diffopt.cli.plan import MostSpp, With, Without, planned, shortfall
 from diffopt.errors import InputError
 
 if TYPE_CHECKING:
@@ -101,16 +101,16 @@ def command(
     if tolerance is None:
         settings, notes = chosen(options, level, words)
         if layers and settings.level != "path":
-            source = "of the file" if level is None else f"--level {level}"
             raise InputError(
-                f"--layers are kept by paths: give --level path or --tolerance; the level "
-                f"{source} is {settings.level}"
+                f"--layers are kept by paths; received the level {settings.level}: give --level "
+                "path or --tolerance"
             )
     else:
         plan = planned(
             found, camera, tolerance, include, exclude, most_spp=most_spp, seed=seed, quiet=quiet
         )
         settings, notes = by_plan(plan, options, spp)
+        notes += shortfall(plan)
         if layers and settings.level != "path":
             notes.append(
                 f"layers are kept by paths in place of {settings.level}: the predicted noise "
@@ -130,9 +130,7 @@ def command(
         raise typer.Exit(INTERRUPTED)
 
 
-def _exclusive(
-    tolerance: float | None, of_level: dict[str, Any], of_plan: dict[str, Any]
-) -> None:
+def _exclusive(tolerance: float | None, of_level: dict[str, Any], of_plan: dict[str, Any]) -> None:
     """Refuse options of a level beside a plan, and those of a plan without one."""
     wrong = of_plan if tolerance is None else of_level
     typed = next((option for option, value in wrong.items() if value is not None), None)

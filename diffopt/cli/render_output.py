@@ -6,8 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from diffopt.planning import Plan
     from diffopt.rendering import Image
 
@@ -68,8 +66,7 @@ def tell(image: "Image", targets: list[Path], notes: list[str]) -> None:
         share = f"{100.0 * image.done.mean():.0f} % of the pixels are done; the others are black"
         table.add_row("interrupted", share)
     if image.layers:
-        shares = [f"{name} {_share(image, part)}" for name, part in image.layers.items()]
-        table.add_row("layers", ", ".join(shares) + " of the mean luminance")
+        table.add_row("layers", f"{_shares(image)} of the mean luminance")
     table.add_row("files", ", ".join(map(str, targets)))
     beside = [str(layer_path(target, "LAYER")) for target in pictures(image, targets)]
     if beside:
@@ -84,10 +81,13 @@ def pictures(image: "Image", targets: list[Path]) -> list[Path]:
     return [t for t in targets if image.layers and t.suffix.lower() == ".png"]
 
 
-def _share(image: "Image", part: "np.ndarray") -> str:
+def _shares(image: "Image") -> str:
+    """Share of each layer, the largest first."""
     weights = image.channels.luminance()
-    whole = float((image.radiance @ weights).sum())
-    return f"{100.0 * float((part @ weights).sum()) / whole:.2g} %" if whole > 0.0 else "0 %"
+    whole = max(float((image.radiance @ weights).sum()), 1e-30)
+    shares = {name: float((a @ weights).sum()) / whole for name, a in image.layers.items()}
+    names = sorted(shares, key=lambda name: -abs(shares[name]))
+    return ", ".join(f"{name} {100.0 * shares[name]:.2g} %" for name in names)
 
 
 def _duration(seconds: float) -> str:

@@ -8,6 +8,8 @@ import collections
 import dataclasses
 from typing import Any, Protocol, runtime_checkable
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
@@ -135,7 +137,7 @@ class Composed:
         walk = Walk(self.composition, ledger)
         walk.trace(stage, rays, queries, key)
         self.rays.update(walk.rays)
-        return dataclasses.replace(rays, radiance=ledger.total)
+        return eqx.tree_at(lambda r: r.radiance, rays, jnp.asarray(ledger.total))
 
 
 @dataclasses.dataclass
@@ -263,7 +265,8 @@ class Walk:
             names[coherent & (some.code & BITS[name] != 0)] = name
         names[some.code & BITS["caustics"] != 0] = "caustics"
         names[some.owner < 0] = "camera"
-        self.rays.update(dict(zip(*np.unique(names.astype(str), return_counts=True), strict=True)))
+        found, counts = np.unique(names.astype(str), return_counts=True)
+        self.rays.update(dict(zip(found.tolist(), counts.tolist(), strict=True)))
 
     def _missed(self, stage: Stage, rays: Rays, state: _State, gone: np.ndarray, size: int) -> None:
         """Light of the surroundings."""
