@@ -296,7 +296,8 @@ def test_no_rays_for_what_is_out(full, camera):
 def test_values_do_not_recompile(camera):
     """Another light, another colour, another roughness: the same programs."""
     plan = do.plan(room(), camera, 0.1)
-    plan = dataclasses.replace(plan, settings=PathSettings(spp=4))
+    # Enough rays to fill a block, as those of the plan do.
+    plan = dataclasses.replace(plan, settings=PathSettings(spp=8))
     do.render(room(), camera, plan)
     before = pathtrace._scatter.count, composed._emitted.count, pathtrace._missed.count
     other = Sum((Lambert((0.1, 0.2, 0.7)), Microfacet(0.1)), chances=(0.5, 0.5))
