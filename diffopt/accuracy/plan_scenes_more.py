@@ -251,19 +251,14 @@ def _dim_coat() -> Subject:
     return Scene(objects, [sun()]), FRONT
 
 
-def _metameric() -> Subject:
-    """Cards that daylight makes alike, and a lamp of two narrow bands that tells them apart."""
-    channels = Channels(WAVELENGTHS)
-    waves = 0.35 * np.cos(np.arange(len(WAVELENGTHS)) * 2.0)
-    seen = channels.xyz(np.eye(len(WAVELENGTHS))).T
-    unseen = waves - np.linalg.lstsq(seen, seen @ waves, rcond=None)[0]
-    grey = np.full(len(WAVELENGTHS), 0.5)
-    other = grey + 0.45 * unseen / np.abs(unseen).max()
+def _narrow_bands() -> Subject:
+    """Coloured cards in the light of two narrow bands, in wavelengths: three bands do not do."""
     bands = np.zeros(len(WAVELENGTHS))
-    bands[[3, 7]] = 12.0
+    bands[[4, 7]] = 12.0
+    colours = [(0.7, 0.1, 0.08), (0.1, 0.6, 0.15), (0.6, 0.6, 0.6)]
     objects = [
-        Object(scenes.Plane(2.0, 2.0), Lambert(colour), scenes.translate(x, 0.0, 0.0))
-        for x, colour in ((-1.0, grey), (1.0, other))
+        Object(scenes.Plane(0.9, 1.8), Lambert(colour), scenes.translate(x, 0.0, 0.0))
+        for x, colour in zip((-1.0, 0.0, 1.0), colours, strict=True)
     ]
     lights = [scenes.Directional(towards=(0.3, -0.5, 1.0), irradiance=bands)]
     return Scene(objects, lights, wavelengths=WAVELENGTHS), STEEP
@@ -325,7 +320,7 @@ SHINY: dict[str, Callable[[], Subject]] = {
     "crown-glass": _crown_glass,
     "lacquer": _lacquer,
     "dim-coat": _dim_coat,
-    "metameric-cards": _metameric,
+    "narrow-bands": _narrow_bands,
     "grey-wavelengths": _grey_wavelengths,
     "gold-under-a-tube": _gold_under_a_tube,
     "everything": _everything,
