@@ -139,7 +139,9 @@ def test_a_check_that_fails_is_an_exit_code(passed, scene, tmp_path, capsys, mon
     monkeypatch.setattr(checking, "check", check)
     words = ["--tolerance", "1", "--check", "--json", "a.json"]
     assert main(["plan", scene, *words]) == (0 if passed else 1)
-    assert "real differences" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "real differences" in out
+    assert f"check: the plan {'holds' if passed else 'does not hold'} to its tolerance" in out
     assert json.loads((tmp_path / "a.json").read_text())["check"] == {"passed": passed}
     assert main(["plan", scene, *words, "--quiet"]) == (0 if passed else 1)
     assert capsys.readouterr() == ("", "")

@@ -109,6 +109,8 @@ def command(
         told["check"] = checked.summary()
         if not quiet:
             terminal().print(checked.table())
+            held = "holds" if checked.passed else "does not hold"
+            terminal().print(f"check: the plan {held} to its tolerance")
     if output is not None:
         with replacing(output) as stream:
             stream.write((json.dumps(told, indent=2) + "\n").encode())
