@@ -156,7 +156,7 @@ class FlatDiffraction(_Coherent):
     ----------
     material
         The diffracting one: its wavelengths, coherence, reflectance and prefactor. Linear RGB
-        is taken at one wavelength for each primary.
+        becomes a spectrum of seven wavelengths.
     """
 
     sigma: Float[Array, ""]
@@ -174,8 +174,9 @@ class FlatDiffraction(_Coherent):
         self.area, self.fresnel = model.coherent_area, model.fresnel
         self.shadowing = model.shadowing
         self.texture = material.texture
-        primaries = floating([0.611, 0.549, 0.465])
-        self.wavelengths = primaries if material._rgb else material.wavelengths
+        # A spectrum of its own: a scene makes colours of it.
+        few = floating([0.40, 0.45, 0.50, 0.55, 0.60, 0.65, 0.70])
+        self.wavelengths = few if material._rgb else material.wavelengths
 
     @property
     def _window(self) -> tuple[Array, str]:
