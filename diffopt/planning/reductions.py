@@ -60,7 +60,7 @@ def reduced(scene: Scene, excluded: frozenset[str]) -> Scene:
     lights = [one for one in lights if one is not None]
     wavelengths = scene.channels.wavelengths
     if "spectrum" in excluded and wavelengths is not None:
-        emission = [scene.channels.rgb(np.asarray(row)) for row in scene.emission()]
+        emission = [_in_gamut(scene, row) for row in scene.emission()]
         objects = [
             one if one.emission is None else _with(one, one.material, jnp.asarray(rgb))
             for one, rgb in zip(objects, emission, strict=True)
@@ -184,8 +184,13 @@ def _in_rgb(light: Light, scene: Scene) -> Light:
             continue
         if value.shape[-1] != scene.channels.count or (name == "radiance" and value.ndim == 2):
             continue
-        return dataclasses.replace(light, **{name: jnp.asarray(scene.channels.rgb(value))})
+        return dataclasses.replace(light, **{name: jnp.asarray(_in_gamut(scene, value))})
     return light
+
+
+def _in_gamut(scene: Scene, value: Any) -> np.ndarray:
+    """Light in linear RGB; of deeper colours than the primaries what is below 0 is cut off."""
+    return np.maximum(scene.channels.rgb(np.asarray(value)), 0.0)
 
 
 def has(scene: Scene, effect: str) -> bool:
