@@ -122,7 +122,7 @@ def _thin_occluder() -> Subject:
 
 def _seen_lamp() -> Subject:
     """A small bright ball over a dark floor, seen directly."""
-    bulb = Object(scenes.Sphere(0.12), Lambert(0.0), scenes.translate(0, 0, 0.9), emission=60.0)
+    bulb = Object(scenes.Sphere(0.12), Lambert(0.0), scenes.translate(0.0, 0.0, 0.9), emission=60.0)
     return Scene([floor(0.15), bulb]), FRONT
 
 

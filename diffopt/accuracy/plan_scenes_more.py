@@ -97,7 +97,7 @@ def _facets(of: fresnel.Reflectance, alpha: float) -> Microfacet:
 
 def _board() -> Object:
     """A floor of light and dark squares."""
-    squares = scenes.checkerboard(np.full(3, 0.75), np.array([0.1, 0.12, 0.15]), repeat=(6, 6))
+    squares = scenes.checkerboard(np.full(3, 0.75), np.array([0.1, 0.12, 0.15]), repeat=(6.0, 6.0))
     return Object(
         scenes.Plane(12.0, 12.0), scenes.Textured(Lambert(np.full(3, 0.5)), colour=squares)
     )
@@ -145,7 +145,9 @@ def _glass_under_a_lamp() -> Subject:
 def _two_glass_balls() -> Subject:
     """Two glass balls one behind the other before a sky with a sun: no matte surface."""
     objects = [ball(Dielectric(1.5), -0.4, -0.6, 0.9), ball(Dielectric(1.33), 0.7, 1.2, 0.9)]
-    return Scene(objects, [scenes.Environment(sky_map())]), looking((0, -5, 1.2), (0, 0, 0.9))
+    return Scene(objects, [scenes.Environment(sky_map())]), looking(
+        (0.0, -5.0, 1.2), (0.0, 0.0, 0.9)
+    )
 
 
 def _compact_disc() -> Subject:
