@@ -252,7 +252,10 @@ def test_agrees_with_path_tracing(reference, gather):
     # Shadows as coarse as the patches cost more. Fewer samples would miss the edge of the lamp.
     share = 0.02 if gather == "direct" else 0.05
     assert (np.abs(found - wanted) < share * wanted + 3 * error).all()
-    assert abs(image.radiance.mean() / exact.radiance.mean() - 1) < 0.01
+    # The reference's noise is the same in all channels, nearly.
+    spread = np.sqrt((exact.error.mean(-1) ** 2).sum()) / exact.done.size
+    off = abs(image.radiance.mean() - exact.radiance.mean())
+    assert off < 0.01 * exact.radiance.mean() + 2 * spread
 
 
 def test_mirrors_are_followed_by_rays(reference):

@@ -188,7 +188,7 @@ def _row(
         seen = fly(scene, camera, every)
         noise = choosing.NOISE * tolerance
         shared = {"seed": 0, "backend": "embree"}
-        full, *_ = affordable(scene, camera, seen, seen, every, noise, most, shared)
+        _, full, _ = affordable(scene, camera, seen, seen, every, noise, most, shared)
         planned_s = _timed(lambda: rendering.render(scene, camera, plan))
         everything_s = _timed(lambda: rendering.render(scene, camera, settings=full))
     stage = Stage(scene)

@@ -164,6 +164,7 @@ class FlatDiffraction(_Coherent):
     fresnel: Reflectance
     wavelengths: Float[Array, " L"]
     texture: Float[Array, "..."] | None
+    sampled: Float[Array, ""]
     prefactor: str = eqx.field(static=True)
     shadowing: str = eqx.field(static=True)
 
@@ -171,6 +172,8 @@ class FlatDiffraction(_Coherent):
         """See the class."""
         model = material._model
         self.sigma, self.prefactor = material._window
+        # Directions are drawn as by the diffracting one, so that the two compare path by path.
+        self.sampled = material._exponent
         self.area, self.fresnel = model.coherent_area, model.fresnel
         self.shadowing = model.shadowing
         self.texture = material.texture
@@ -181,6 +184,10 @@ class FlatDiffraction(_Coherent):
     @property
     def _window(self) -> tuple[Array, str]:
         return self.sigma, self.prefactor
+
+    @property
+    def _exponent(self) -> Array:
+        return self.sampled
 
     @property
     def channels(self) -> tuple[int, ...]:

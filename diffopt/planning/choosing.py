@@ -87,7 +87,7 @@ def plan(
     composition = _receivers(seen, composition, len(scene.objects), rest)
     small = reduced(scene, out)
     again = pilot.fly(small, camera, composition, seed=seed, backend=backend)
-    settings, noise, seconds, shares = costs.affordable(
+    best, paths, shares = costs.affordable(
         small,
         camera,
         again,
@@ -99,11 +99,21 @@ def plan(
     )
     bias = _bias(seen, stage, out, replaced, composition)
     rows = tuple(
-        _row(name, scene, seen, stage, out, replaced, composition, settings, shares,
-             name in wanted or name in unwanted)
+        _row(
+            name,
+            scene,
+            seen,
+            stage,
+            out,
+            replaced,
+            composition,
+            best.settings,
+            shares,
+            name in wanted or name in unwanted,
+        )
         for name in EFFECTS
-    )  # fmt: skip
-    return Plan(tolerance, rows, composition, settings, bias, noise, seconds)
+    )
+    return Plan(tolerance, rows, composition, best.settings, bias, best.error, best.seconds, paths)
 
 
 def _names(argument: str, given: Any) -> frozenset[str]:
@@ -229,7 +239,7 @@ def _row(
     shares: dict[str, float],
     fixed: bool,
 ) -> Row:
-    included = name not in out
+    included = name not in out and not (name in PATHS and reasons.absent(name, stage))
     bound: float | None
     if name in REPLACED:
         bound = replaced[name].bound if name in replaced else 0.0

@@ -26,7 +26,7 @@ from diffopt.scenes.scene import Scene
 
 # Seconds of a ray of paths with what is shaded for it, by two threads; of a ray of a picture
 # without noise, and of a shadow ray of that.
-_PATH_RAY, _EVEN_RAY, _SHADOW_RAY = 1.2e-6, 1.5e-6, 0.35e-6
+_PATH_RAY, _EVEN_RAY, _SHADOW_RAY = 2.0e-6, 1.5e-6, 0.35e-6
 # Mean magnitude of a normal variable over its standard deviation.
 _MEAN = math.sqrt(2.0 / math.pi)
 # Error of s samples in a pixel, times s^0.8: in the spread within pixels of the light that is
@@ -59,7 +59,7 @@ def affordable(
     noise: float,
     most: int,
     shared: dict[str, Any],
-) -> tuple[Settings, float, float, dict[str, float]]:
+) -> tuple[Choice, PathSettings, dict[str, float]]:
     """The cheapest level and its settings.
 
     Parameters
@@ -80,7 +80,7 @@ def affordable(
     Returns
     -------
     tuple
-        Settings, predicted noise, seconds, and the share of each effect in them.
+        The choice, the cheapest path tracing, and the share of each effect in the rays.
     """
     pixels = camera.resolution[0] * camera.resolution[1]
     found = [_paths(pixels, planned, composition, noise, most, shared)]
@@ -88,7 +88,9 @@ def affordable(
     # Where none is good enough, the cheapest of those that are nearly the best.
     least = max(noise, _NEARLY * min(one.error for one in found))
     best = min((one for one in found if one.error <= least), key=lambda c: c.seconds)
-    return best.settings, best.error, best.seconds, _shares(planned, seen, composition)
+    paths = found[0].settings
+    assert isinstance(paths, PathSettings)
+    return best, paths, _shares(planned, seen, composition)
 
 
 def _paths(

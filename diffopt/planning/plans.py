@@ -5,7 +5,7 @@ from typing import Any
 
 from diffopt.planning.reductions import reduced
 from diffopt.rendering.effects import Composition
-from diffopt.rendering.settings import Settings
+from diffopt.rendering.settings import PathSettings, Settings
 from diffopt.scenes.scene import Scene
 
 
@@ -60,6 +60,8 @@ class Plan:
     seconds
         Predicted time of the picture, without compilation, on the two cores on which the
         model was calibrated.
+    paths
+        Settings by which layers are told apart: the cheapest path tracing.
     """
 
     tolerance: float
@@ -69,6 +71,7 @@ class Plan:
     bias: float
     noise: float
     seconds: float
+    paths: PathSettings
 
     @property
     def excluded(self) -> frozenset[str]:
@@ -104,7 +107,7 @@ class Plan:
                 "in" if row.included else "-",
                 row.because,
                 row.settings,
-                "" if row.bound is None else f"{row.bound:.2%}",
+                f"{row.bound:.2%}" if row.bound else "",
                 f"{row.share:.0%}" if row.included and row.share else "",
             )
         return found
@@ -128,4 +131,6 @@ class Plan:
 
 
 def _duration(seconds: float) -> str:
+    if seconds < 0.1:
+        return "0.1 s at most"
     return f"{seconds:.2g} s" if seconds < 120.0 else f"{seconds / 60.0:.0f} min"

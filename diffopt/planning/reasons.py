@@ -22,7 +22,7 @@ _NONE = {
     "mirror": "no mirror or smooth glass",
     "refraction": "no smooth glass",
     "glossy-interreflection": "all surfaces are matte, mirrors or glass",
-    "caustics": "no mirror or smooth glass",
+    "caustics": "no mirror or smooth glass beside a surface that scatters",
     "hard-shadows": "no parallel light, point or flood",
     "soft-shadows": "no light from surfaces or surroundings",
     "self-shadows": "nothing can hide light",
@@ -85,7 +85,9 @@ def none(effect: str) -> str:
 
 def text(effect: str, estimate: float, bound: float, seen: Pilot) -> str:
     """What an effect brings."""
-    size = f"{estimate:.2%} of the light" if estimate > 0.0 else f"nothing found, below {bound:.2%}"
+    if estimate <= 0.0:
+        return f"not needed by any of {seen.pixels * seen.paths} paths: below {bound:.2%}"
+    size = f"{estimate:.2%} of the light"
     return _BRINGS[effect].format(size, f"{seen.again:.0%}")
 
 
@@ -103,6 +105,6 @@ def words(effect: str, scene: Scene, composition: Composition, settings: Any) ->
         return f"on {len(which or ())} of {len(scene.objects)} objects"
     if effect == "matte-light":
         if paths:
-            return f"{settings.spp} paths a pixel"
-        return f"{settings.spp} rays a pixel, {settings.light_samples} points of a light"
+            return f"paths a pixel: {settings.spp}"
+        return f"rays a pixel: {settings.spp}, points of a light: {settings.light_samples}"
     return ""

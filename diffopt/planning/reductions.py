@@ -61,6 +61,7 @@ def reduced(scene: Scene, excluded: frozenset[str]) -> Scene:
     wavelengths = scene.channels.wavelengths
     if "spectrum" in excluded and wavelengths is not None:
         emission = [_in_gamut(scene, row) for row in scene.emission()]
+        objects = [_named(one, scene) for one in objects]
         objects = [
             one if one.emission is None else _with(one, one.material, jnp.asarray(rgb))
             for one, rgb in zip(objects, emission, strict=True)
@@ -87,6 +88,19 @@ def _with(one: Object, material: Any, emission: Any) -> Object:
     """The object of another material, in the very same place."""
     found = Object(one.place.shape, material, emission=emission, name=one.name)
     object.__setattr__(found, "place", one.place)
+    if material is one.material:
+        object.__setattr__(found, "wavelengths", one.wavelengths)
+    return found
+
+
+def _named(one: Object, scene: Scene) -> Object:
+    """An object whose channels, if they are those of a spectral scene, have wavelengths."""
+    if one.wavelengths is not None or one.material.channels != (scene.channels.count,):
+        return one
+    if scene.channels.count == 3:
+        return one
+    found = _with(one, one.material, one.emission)
+    object.__setattr__(found, "wavelengths", scene.channels.wavelengths)
     return found
 
 

@@ -224,8 +224,8 @@ class Walk:
             met = alive[hits.primitive[alive] >= 0]
             once = [scattered(state.code[k]) == 1 for k in (alive, met)]
             self.first += [int(some.sum()) for some in once]
-            if self.ledger.shadows and stage.sources.constant is not None:
-                self._hidden_sky(stage, rays, state.of(met), met, owners[hits.primitive[met]])
+            if stage.sources.constant is not None:
+                self._even_sky(stage, rays, state.of(met), met, owners[hits.primitive[met]])
             found, states = [], []
             for _, group, here in stage.by_group(alive, hits):
                 some = state.of(here)
@@ -380,11 +380,18 @@ class Walk:
         for found, code in zip(values, codes, strict=True):
             self._add(some.home[seen], code[seen], found[seen])
 
-    def _hidden_sky(
+    def _even_sky(
         self, stage: Stage, rays: Rays, some: _State, met: np.ndarray, owner: np.ndarray
     ) -> None:
-        """Light of an even sky that surfaces hide."""
+        """Light of an even sky behind surfaces: hidden, or not where no shadow falls."""
         behind = (some.kind <= GLOSSY) & (some.owner >= 0)
+        bare = np.flatnonzero(behind & ~self.composition.receivers(True, some.owner))
+        if len(bare):
+            light = np.asarray(rays.throughput)[met[bare]]
+            self._add(some.home[bare], some.code[bare], light * np.asarray(stage.sources.constant))
+            behind[bare] = False
+        if not self.ledger.shadows:
+            return
         sky = np.asarray(stage.sources.constant)
         value = np.asarray(rays.throughput)[met[behind]] * sky[None]
         bit = np.where(owner[behind] == some.owner[behind], _SELF, _SOFT) | OF_SOFT

@@ -130,8 +130,9 @@ class Composition:
     def receivers(self, soft: bool, owner: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
         """Whether shadows fall on objects."""
         which = self.soft if soft else self.hard
+        names = "soft-shadows" if soft else "hard-shadows", "self-shadows"
         if which is None:
-            return np.ones(len(owner), bool)
+            return np.full(len(owner), any(self.holds(name) for name in names))
         return np.isin(owner, sorted(which))
 
     def may_scatter(self, code: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:

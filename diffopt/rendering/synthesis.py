@@ -38,10 +38,6 @@ LEVELS: dict[str, type[Settings]] = {
 }
 
 
-# Bounces of layers where a plan has another level.
-_DEEPEST = 64
-
-
 @runtime_checkable
 class Planned(Protocol):
     """What a plan tells of a picture; see `diffopt.planning.Plan`."""
@@ -49,6 +45,11 @@ class Planned(Protocol):
     @property
     def settings(self) -> Settings:
         """Of the level."""
+        ...
+
+    @property
+    def paths(self) -> PathSettings:
+        """By which layers are told apart."""
         ...
 
     @property
@@ -106,16 +107,17 @@ def render(
     InputError
         For another level, or an option that its settings do not have.
     """
-    composition = None
+    composition = told = None
     if not isinstance(level, str):
+        told = _changed(level.paths, options) if layers else None
         settings = _changed(level.settings if settings is None else settings, options)
         scene, composition, level, options = level.scene(scene), level.composition, "path", {}
     chosen = chosen_settings(level, settings, options)
     if layers and not isinstance(chosen, PathSettings):
         if composition is None:
             raise InputError(f"layers are kept by paths; received the level {chosen.level}")
-        shared = {f.name: getattr(chosen, f.name) for f in dataclasses.fields(Settings)}
-        chosen = PathSettings(**shared, depth=_DEEPEST)
+        assert told is not None
+        chosen = told
     even = not isinstance(chosen, PathSettings)
     follow = _level(chosen, scene, composition, layers)()
     return driver.picture(
