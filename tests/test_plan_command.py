@@ -90,7 +90,16 @@ def asked(monkeypatch):
     def plan(scene, camera, tolerance, **options):
         kept.append((scene, camera, options))
         row = Row("matte-light", True, "as asked", None)
-        return Plan(tolerance, (row,), Composition(), PathSettings(spp=2), 0.02, 0.09, 1.0)
+        return Plan(
+            tolerance,
+            (row,),
+            Composition(),
+            PathSettings(spp=2),
+            0.02,
+            0.09,
+            1.0,
+            PathSettings(spp=2),
+        )
 
     monkeypatch.setattr(planning, "plan", plan)
     return kept

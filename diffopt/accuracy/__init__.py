@@ -27,6 +27,9 @@
 `nufft`                   the non-uniform FFT as a contender
 `render_comparison`       levels of image synthesis against path tracing
 `render_pictures`         its plot and contact sheet; `render_scenes`: its scenes
+`plan_comparison`         what plans leave out, whether that is right, and what it saves
+`plan_ladders`            error against time, from incremental shading to everything
+`plan_scenes`             what plans are tried on; `plan_scenes_more`: those not only matte
 `benchmarks`              the protocol of the benchmarks
 `diffraction_benchmarks`  benchmarks of the diffraction methods
 `frame_benchmarks`        benchmark of interactive frames

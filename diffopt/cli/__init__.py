@@ -8,7 +8,8 @@
 `demo`            ``diffopt demo``: all pictures of an embedded disc, as a page
 `material`        ``diffopt material``: pictures and properties of a material
 `studying`        ``diffopt accuracy`` and ``diffopt bench``
-`comparing`       ``diffopt compare``
+`comparing`       ``diffopt compare``; apart from it `comparing_levels`, `comparing_plans`,
+                  `comparing_shadows` and `comparing_transfer`
 `fitting`         ``diffopt fit``; `fit_targets`: what is fitted to
 `scene`           ``diffopt scene``: scene files checked, and examples
 `plan`            ``diffopt plan``: effects that a picture calls for

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from diffopt.cli.comparing_levels import rendering
+from diffopt.cli.comparing_plans import plans
 from diffopt.cli.comparing_shadows import shadows
 from diffopt.cli.comparing_transfer import transfer
 
@@ -21,6 +22,7 @@ def _root() -> None:
     """Compare all ways to compute the same: set-up, run time, memory, measured error."""
 
 
+app.command("plans")(plans)
 app.command("rendering")(rendering)
 app.command("shadows")(shadows)
 app.command("transfer")(transfer)

@@ -170,7 +170,9 @@ class FlatDiffraction(_Coherent):
 
     def __init__(self, material: Diffraction) -> None:
         """See the class."""
-        model = material._model
+        typed = material.typed(material.wavelengths.dtype)
+        assert isinstance(typed, Diffraction)
+        material, model = typed, typed._model
         self.sigma, self.prefactor = material._window
         # Directions are drawn as by the diffracting one, so that the two compare path by path.
         self.sampled = material._exponent
