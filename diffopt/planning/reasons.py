@@ -33,8 +33,8 @@ _BRINGS = {
     "emission": "lights that are seen bring {0}",
     "surroundings": "what is seen past all surfaces brings {0}",
     "ambient": "ambient light brings {0}",
-    "matte-light": "matte surfaces bring {0} by direct light",
-    "glossy-light": "glossy surfaces bring {0}",
+    "matte-light": "matte surfaces that are seen bring {0}",
+    "glossy-light": "glossy surfaces that are seen bring {0}",
     "mirror": "coherent reflection brings {0}",
     "refraction": "smooth glass lets pass {0}",
     "diffuse-interreflection": "matte surfaces bring {0} to each other; {1} of what surrounds "
