@@ -13,7 +13,7 @@ from diffopt.errors import InputError
 from diffopt.materials import Dielectric, Lambert, Microfacet, Mirror, Sum
 from diffopt.materials.combined import matte_part
 from diffopt.planning import checking, pilot, reductions
-from diffopt.rendering import composed, driver, effects, pathtrace
+from diffopt.rendering import composed, driver, effects, ledgers, pathtrace
 from diffopt.rendering.composed import Composed
 from diffopt.rendering.direct import Direct
 from diffopt.rendering.effects import BITS, LAYERS, PATHS, Composition
@@ -274,7 +274,7 @@ def test_no_rays_for_what_is_out(full, camera):
         settings = PathSettings(spp=4)
         pixels = np.arange(24 * 18)
         primary = driver.primary(camera, stage, key, pixels, len(pixels), 0, 4, settings, False)
-        ledger = composed.Whole(len(primary.alive), stage.channels, stage.dtype)
+        ledger = ledgers.Whole(len(primary.alive), stage.channels, stage.dtype)
         walk = composed.Walk(Composition(**what), ledger)
         walk.trace(stage, primary, composed.Queries(caster), key)
         assert sum(walk.rays.values()) == sum(counted)

@@ -6,7 +6,7 @@ import dataclasses
 import pytest
 
 from diffopt import planning
-from diffopt.accuracy import plan_comparison, plan_ladders, plan_scenes
+from diffopt.accuracy import plan_comparison, plan_ladders, plan_scenes, plan_scenes_more
 from diffopt.cli import main
 from diffopt.errors import InputError
 from diffopt.rendering import IncrementalSettings, PathSettings
@@ -183,7 +183,10 @@ def test_refusals_of_the_command(words, said, tmp_path, capsys, monkeypatch):
     assert not out.exists()
 
 
-def test_there_are_many_scenes_and_all_can_be_made():
+def test_there_are_many_scenes_and_all_can_be_made(monkeypatch):
+    # For few directions no tables are baked, which would take most of the time.
+    monkeypatch.setattr(plan_scenes_more, "_PAIRS", 20_000)
+    plan_scenes_more._diffracting.cache_clear()
     assert len(plan_scenes.SCENES) >= 24
     assert set(plan_ladders.SHOWN) <= set(plan_scenes.SCENES)
     for name in plan_scenes.SCENES:
@@ -192,6 +195,7 @@ def test_there_are_many_scenes_and_all_can_be_made():
         assert set(stage.owner) == set(range(len(scene.objects))), name
         assert stage.groups, name
         assert min(camera.resolution) > 0, name
+    plan_scenes_more._diffracting.cache_clear()
 
 
 def test_the_large_scene_plans():

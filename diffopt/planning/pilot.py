@@ -126,7 +126,7 @@ class Pilot:
 
 
 class Notes:
-    """A ledger that keeps everything; see `diffopt.rendering.composed.Ledger`."""
+    """A ledger that keeps everything; see `diffopt.rendering.ledgers.Ledger`."""
 
     shadows = True
 

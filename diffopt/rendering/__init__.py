@@ -9,7 +9,7 @@
              (`smoothing`), as a level (`coupled`)
 `ambient`    even light in place of what a level leaves out
 `pathtrace`  everything, with a standard error
-`composed`   some `effects` and no others, told apart by their `happenings`
+`composed`   some `effects` and no others, told apart by their `happenings`, in `ledgers`
 `shading`    where a ray meets a surface
 `stage`      a scene as arrays: `groups` of materials, `sources` of light of several `families`
 `standins`   abstract lights in place of all others
