@@ -6,7 +6,6 @@ standard error; simpler stand-ins are compared on the same paths.
 """
 
 import dataclasses
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ import numpy as np
 from diffopt.planning import pilot, reasons, replacing
 from diffopt.planning.choosing import LEFT_OUT
 from diffopt.planning.plans import Plan
-from diffopt.planning.reductions import REPLACED, has
+from diffopt.planning.replacing import Progress
 from diffopt.rendering.effects import BITS, PATHS, SHADOWS, Composition
 from diffopt.rendering.stage import Stage
 from diffopt.scenes.camera import Camera
@@ -25,9 +24,6 @@ from diffopt.scenes.scene import Scene
 PIXELS, SAMPLES = 1500, 256
 # Bounces that count as everything.
 _DEEPEST = 32
-
-#: Told (done, of) as parts of the check are finished.
-Progress = Callable[[int, int], None]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -162,21 +158,15 @@ def check(
     """
     stage, shared = Stage(scene), {"seed": seed, "backend": plan.settings.backend}
     every = Composition(bounces=_DEEPEST, coherent=_DEEPEST)
-    replaced = [name for name in REPLACED if has(scene, name)]
     size = pilot.resolution(camera, pixels)
     pictures = _Pictures(scene.channels, size[0] * size[1], paths)
     few = {"pixels": pixels, "paths": paths, "stage": stage, "notes": pictures}
     seen = pilot.fly(scene, camera, every, **shared, **few)
-    changes: dict[str, replacing.Difference] = {}
-    for k, name in enumerate(replaced):
-        if progress is not None:
-            progress(k + 1, 1 + len(replaced))
-        some = max(paths // 8, 1)
-        changes[name] = replacing.difference(
-            scene, camera, name, **shared, pixels=pixels, paths=some
-        )
+    changes = replacing.differences(
+        scene, camera, **shared, pixels=pixels, paths=max(paths // 8, 1), progress=progress
+    )
     if progress is not None:
-        progress(1 + len(replaced), 1 + len(replaced))
+        progress(len(changes) + 1, len(changes) + 1)
     rows = []
     for row in plan.rows:
         if row.effect in changes:

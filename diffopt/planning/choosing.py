@@ -14,7 +14,7 @@ from diffopt.errors import InputError
 from diffopt.planning import costs, pilot, reasons, replacing
 from diffopt.planning.pilot import Pilot
 from diffopt.planning.plans import Plan, Row
-from diffopt.planning.reductions import EFFECTS, REPLACED, has, reduced
+from diffopt.planning.reductions import EFFECTS, REPLACED, reduced
 from diffopt.planning.replacing import Difference
 from diffopt.rendering.effects import PATHS, Composition
 from diffopt.rendering.stage import Stage
@@ -76,11 +76,7 @@ def plan(
     stage = Stage(scene)
     seen = pilot.fly(scene, camera, everything, seed=seed, backend=backend, stage=stage)
     budget = LEFT_OUT * tolerance
-    replaced = {
-        name: replacing.difference(scene, camera, name, seed=seed, backend=backend)
-        for name in REPLACED
-        if has(scene, name)
-    }
+    replaced = replacing.differences(scene, camera, seed=seed, backend=backend)
     out = _excluded(seen, replaced, stage, _EFFECTS * budget, wanted, unwanted)
     rest = 0.5 * max(budget - _bias(seen, stage, out, replaced), 0.0)
     composition = _depths(seen, out, rest)

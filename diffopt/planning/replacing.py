@@ -6,13 +6,14 @@ that even a few paths tell the difference.
 
 import dataclasses
 import math
+from collections.abc import Callable
 
 import numpy as np
 
 from diffopt import colour
 from diffopt.materials.diffracting import Diffraction
 from diffopt.planning import pilot
-from diffopt.planning.reductions import diffracting, mean_radiance, reduced
+from diffopt.planning.reductions import REPLACED, diffracting, has, mean_radiance, reduced
 from diffopt.rendering import driver, sources
 from diffopt.rendering.composed import Composed
 from diffopt.rendering.effects import Composition
@@ -24,8 +25,13 @@ from diffopt.scenes.lights import Environment
 from diffopt.scenes.scene import Scene
 from diffopt.statistics import power_spectrum
 
+#: Paths of each pixel: both pictures have the same.
+PATHS = 8
 # Bounces of the pictures.
 _BOUNCES = 8
+
+#: Told (done, of) as effects are compared.
+Progress = Callable[[int, int], None]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,25 +57,33 @@ class Difference:
     because: str
 
 
-def difference(
+def differences(
     scene: Scene,
     camera: Camera,
-    effect: str,
     *,
     seed: int = 0,
     backend: str = "embree",
     pixels: int = pilot.PIXELS,
-    paths: int = pilot.PATHS,
-) -> Difference:
-    """Compare small pictures with an effect and with what stands in its place.
+    paths: int = PATHS,
+    progress: Progress | None = None,
+) -> dict[str, Difference]:
+    """Compare small pictures with effects and with what stands in the place of each.
 
     Parameters
     ----------
     scene, camera, seed, backend, pixels, paths
         As for `diffopt.planning.pilot.fly`.
-    effect
-        Of `diffopt.planning.reductions.REPLACED`.
+    progress
+        Called with (effects done, effects in all).
+
+    Returns
+    -------
+    dict
+        By those of `diffopt.planning.reductions.REPLACED` that the scene has.
     """
+    wanted = [name for name in REPLACED if has(scene, name)]
+    if not wanted:
+        return {}
     small = dataclasses.replace(camera, resolution=pilot.resolution(camera, pixels))
     settings = PathSettings(spp=paths, seed=seed, backend=backend)
     level = Composed(Composition(bounces=_BOUNCES, coherent=_BOUNCES))
@@ -77,17 +91,20 @@ def difference(
     def image(stage: Stage, which: Scene) -> Image:
         return driver.picture(which, small, settings, level, even=False, stage=stage)
 
-    first = image(Stage(scene), scene)
-    other, stage = _beside(scene, effect)
-    found = image(stage, other)
-    measured = compared(found.xyz, first.xyz)
     words = {
         "spectrum": lambda d: f"three bands shift colours by delta E {d.delta_e:.2g}",
         "fresnel": lambda d: f"Schlick's form changes {d.bound:.2%} of the light",
         "diffraction": lambda d: _roughness(scene, d),
         "environment-map": lambda d: f"its mean changes {d.bound:.2%} of the light",
     }
-    return dataclasses.replace(measured, because=words[effect](measured))
+    first, found = image(Stage(scene), scene).xyz, {}
+    for k, name in enumerate(wanted):
+        if progress is not None:
+            progress(k, len(wanted))
+        other, stage = _beside(scene, name)
+        measured = compared(image(stage, other).xyz, first)
+        found[name] = dataclasses.replace(measured, because=words[name](measured))
+    return found
 
 
 def compared(found: np.ndarray, right: np.ndarray) -> Difference:
