@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from diffopt import rendering
+from diffopt import checks, rendering
 from diffopt.accuracy import output, plan_scenes
 from diffopt.planning import checking, choosing, reasons
 from diffopt.planning.costs import affordable
@@ -155,8 +155,14 @@ def compare(
         Whether pictures are rendered and timed; their times are 0 otherwise.
     progress
         Told of the scenes.
+
+    Raises
+    ------
+    InputError
+        For an unknown name.
     """
-    wanted = list(plan_scenes.SCENES) if not names else list(names)
+    known = tuple(plan_scenes.SCENES)
+    wanted = [checks.choice("scene", name, known) for name in names or known]
     rows = []
     for k, name in enumerate(wanted):
         if progress is not None:

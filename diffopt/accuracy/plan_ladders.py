@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from diffopt import rendering
+from diffopt import checks, rendering
 from diffopt.accuracy import output, plan_scenes
 from diffopt.planning.choosing import plan
 from diffopt.planning.plans import Plan
@@ -196,6 +196,8 @@ def climb(
     progress
         Told of the pictures.
     """
+    for name in names:
+        checks.choice("scene", name, tuple(plan_scenes.SCENES))
     steps: list[Step] = []
     count = len(names) * (len(STEPS) + len(tolerances) + 1)
 

@@ -31,7 +31,7 @@ _PATH_RAY, _EVEN_RAY, _SHADOW_RAY = 2.0e-6, 1.5e-6, 0.35e-6
 _MEAN = math.sqrt(2.0 / math.pi)
 # Error of s samples in a pixel, times s^0.8: in the spread within pixels of the light that is
 # seen without being scattered, and the rest.
-_SEEN, _EDGES = 0.65, 0.02
+_SEEN, _EDGES = 0.65, 0.04
 # Error of n points of surfaces that emit and of surroundings, in their light, times n^0.7.
 _EMITTERS, _SKY = 0.4, 0.9
 # Numbers of patches; their error, in the light between surfaces; seconds of their solution.
