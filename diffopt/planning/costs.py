@@ -26,7 +26,7 @@ from diffopt.scenes.scene import Scene
 
 # Seconds of a ray of paths with what is shaded for it, by two threads; of a ray of a picture
 # without noise, and of a shadow ray of that.
-_PATH_RAY, _EVEN_RAY, _SHADOW_RAY = 2.0e-6, 1.5e-6, 0.35e-6
+_PATH_RAY, _EVEN_RAY, _SHADOW_RAY = 1.2e-6, 1.5e-6, 0.35e-6
 # Mean magnitude of a normal variable over its standard deviation.
 _MEAN = math.sqrt(2.0 / math.pi)
 # Error of s samples in a pixel, times s^0.8: in the spread within pixels of the light that is

@@ -9,6 +9,7 @@ import dataclasses
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
@@ -28,6 +29,7 @@ from diffopt.rendering.happenings import Parts
 from diffopt.rendering.ledgers import Layers, Ledger, Whole
 from diffopt.rendering.programs import Program
 from diffopt.rendering.queries import Queries
+from diffopt.rendering.rows import Tree
 from diffopt.rendering.shading import Rays, Shadow
 from diffopt.rendering.sources import Sources
 from diffopt.rendering.stage import Stage
@@ -173,8 +175,7 @@ class Walk:
                     )  # fmt: skip
                     before = state.of(block[:wanted])
                     before.owner = owners[hits.primitive[block[:wanted]]]
-                    got = rows.joined([(onwards, shadow, told)])
-                    got = rows.taken(got, np.arange(wanted))
+                    got = (_first(one, wanted) for one in (onwards, shadow, told))
                     found.append(self._settled(stage, queries, group, before, *got))
                     states.append(before)
             if not found:
@@ -186,15 +187,18 @@ class Walk:
         some = state.of(np.flatnonzero(alive))
         if not len(some.home):
             return
-        names = np.full(len(some.home), "light", dtype=object)
-        names[self.composition.may_scatter(some.code)] = "interreflection"
-        coherent = some.kind > GLOSSY
-        for name in ("mirror", "refraction"):
-            names[coherent & (some.code & BITS[name] != 0)] = name
-        names[some.code & BITS["caustics"] != 0] = "caustics"
-        names[some.owner < 0] = "camera"
-        found, counts = np.unique(names.astype(str), return_counts=True)
-        self.rays.update(dict(zip(found.tolist(), counts.tolist(), strict=True)))
+        left = np.ones(len(some.home), bool)
+        coherent, caustic = some.kind > GLOSSY, (some.code & BITS["caustics"]) != 0
+        for name, which in (
+            ("camera", some.owner < 0),
+            ("caustics", caustic),
+            ("refraction", coherent & ((some.code & BITS["refraction"]) != 0)),
+            ("mirror", coherent),
+            ("interreflection", self.composition.may_scatter(some.code)),
+            ("light", left.copy()),
+        ):
+            self.rays[name] += int((which & left).sum())
+            left &= ~which
 
     def _missed(self, stage: Stage, rays: Rays, state: _State, gone: np.ndarray, size: int) -> None:
         """Light of the surroundings."""
@@ -330,6 +334,11 @@ class Walk:
         if len(bright):
             none = np.full(len(bright), -1)
             self.ledger.add(home[bright], code[bright], values[bright], none)
+
+
+def _first(tree: Tree, count: int) -> Tree:
+    """The first rows of all arrays, on the host."""
+    return jax.tree.map(lambda array: np.asarray(array)[:count], tree)
 
 
 def _light(
