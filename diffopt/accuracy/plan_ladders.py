@@ -133,36 +133,45 @@ class Ladders:
         for name, axes in zip(names, grid.flat, strict=False):
             here = [step for step in self.steps if step.scene == name]
             _panel(axes, name, here)
-        figure.suptitle(
-            "Error against time: levels (grey), and what plans choose (red)", fontsize=9
-        )
+        handles, labels = grid.flat[0].get_legend_handles_labels()
+        figure.legend(handles, labels, fontsize=7, loc="outside lower center", ncols=4)
+        figure.suptitle("Error against time; numbers: tolerances of plans", fontsize=9)
         return output.saved(figure, path)
 
 
+# Colour and marker of a step.
+_STYLES = {
+    "incremental, 1 sample": ("C0", "."),
+    "incremental": ("C0", "o"),
+    "recursive": ("C1", "s"),
+    "radiosity+rays": ("C2", "^"),
+    "path 16": ("0.7", "p"),
+    "path 64": ("0.5", "p"),
+    "path 256": ("0.25", "p"),
+}
+
+
 def _panel(axes: Any, name: str, here: Sequence[Step]) -> None:
-    for planned, colour, marker in ((False, "0.45", "o"), (True, "C3", "D")):
-        some = [step for step in here if (step.tolerance is not None) == planned]
-        axes.plot(
-            [step.run_s for step in some],
-            [max(step.error, 1e-5) for step in some],
-            marker,
-            color=colour,
-            ls="-" if planned else "",
-            lw=0.8,
-            ms=5,
+    for step in here:
+        if step.tolerance is None:
+            colour, marker = _STYLES[step.way]
+            axes.plot(step.run_s, step.error, marker, color=colour, ls="", ms=6, label=step.way)
+    plans = [step for step in here if step.tolerance is not None]
+    times, errors = [step.run_s for step in plans], [step.error for step in plans]
+    axes.plot(times, errors, "D-", color="C3", lw=0.8, ms=5, label="plan")
+    for k, step in enumerate(plans):
+        axes.annotate(
+            f"{step.tolerance:g}",
+            (step.run_s, step.error),
+            xytext=(5, 4 - 9 * (k % 2)),
+            textcoords="offset points",
+            fontsize=7,
+            color="C3",
         )
-        for k, step in enumerate(some):
-            axes.annotate(
-                f"{step.tolerance:g}" if planned else step.way,
-                (step.run_s, max(step.error, 1e-5)),
-                xytext=(5, -8 if planned else 3 + 5 * (k % 2)),
-                textcoords="offset points",
-                fontsize=6.5,
-                color=colour,
-            )
-    axes.axhline(here[0].reference_noise, color="0.6", lw=0.8, ls=":")
+    noise = here[0].reference_noise
+    axes.axhline(noise, color="0.6", lw=0.8, ls=":", label="noise of the reference")
     axes.set(xscale="log", yscale="log")
-    axes.margins(0.15)
+    axes.margins(0.12)
     axes.set_title(name, fontsize=9)
     axes.set_xlabel("time of a picture, s", fontsize=8)
     axes.set_ylabel("error over mean luminance", fontsize=8)
