@@ -267,4 +267,4 @@ def _timed(scene: Scene, camera: Camera, how: Settings | Plan) -> tuple[Image, f
         return image, time.perf_counter() - begin
 
     image, seconds = picture()
-    return picture() if seconds < 20.0 else (image, seconds)
+    return picture() if seconds < 120.0 else (image, seconds)
