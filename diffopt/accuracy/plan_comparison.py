@@ -13,18 +13,19 @@ from typing import Any
 from diffopt import checks, rendering
 from diffopt.accuracy import output, plan_scenes
 from diffopt.planning import checking, choosing, reasons
-from diffopt.planning.costs import affordable
+from diffopt.planning.costs import MEAN
 from diffopt.planning.pilot import fly
 from diffopt.planning.reductions import EFFECTS, REPLACED, has
 from diffopt.rendering.effects import Composition
+from diffopt.rendering.settings import PathSettings
 from diffopt.rendering.stage import Stage
 from diffopt.scenes.camera import Camera
 from diffopt.scenes.scene import Scene
 
 # Called before each scene with its number from 0, their number, and its name.
 Progress = Callable[[int, int, str], None]
-# Bounces of everything.
-_DEEPEST = 32
+# Bounces of everything, and paths of a pixel that are timed.
+_DEEPEST, _FEW = 32, 64
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,8 +51,9 @@ class Row:
     plan_s
         Seconds of planning, after compilation.
     planned_s, everything_s
-        Seconds of the picture by its plan, and by paths with everything, at settings for the
-        same noise (both end at the same number of paths), after compilation.
+        Seconds of the picture by its plan, after compilation, and by paths with everything, as
+        many as the noise that the plan promises takes: a few are timed, the time of all is in
+        proportion.
     """
 
     scene: str
@@ -192,11 +194,11 @@ def _row(
     if render:
         every = Composition(bounces=_DEEPEST, coherent=_DEEPEST)
         seen = fly(scene, camera, every)
-        noise = choosing.NOISE * tolerance
-        shared = {"seed": 0, "backend": "embree"}
-        _, full, _ = affordable(scene, camera, seen, seen, every, noise, most, shared)
+        wanted = (MEAN * seen.noise(seen.light) / plan.noise) ** 2
+        few = PathSettings(spp=_FEW, depth=_DEEPEST)
         planned_s = _timed(lambda: rendering.render(scene, camera, plan))
-        everything_s = _timed(lambda: rendering.render(scene, camera, settings=full))
+        some_s = _timed(lambda: rendering.render(scene, camera, settings=few))
+        everything_s = some_s * max(wanted, 1.0) / _FEW
     stage = Stage(scene)
     own = [e for e in EFFECTS if (has(scene, e) if e in REPLACED else not reasons.absent(e, stage))]
     out = [row for row in found.rows if not row.included]

@@ -27,8 +27,8 @@ from diffopt.scenes.scene import Scene
 # Seconds of a ray of paths with what is shaded for it, by two threads; of a ray of a picture
 # without noise, and of a shadow ray of that.
 _PATH_RAY, _EVEN_RAY, _SHADOW_RAY = 1.2e-6, 1.5e-6, 0.35e-6
-# Mean magnitude of a normal variable over its standard deviation.
-_MEAN = math.sqrt(2.0 / math.pi)
+#: Mean magnitude of a normal variable over its standard deviation.
+MEAN = math.sqrt(2.0 / math.pi)
 # Error of s samples in a pixel, times s^0.8: in the spread within pixels of the light that is
 # seen without being scattered, and the rest.
 _SEEN, _EDGES = 0.65, 0.04
@@ -102,11 +102,11 @@ def _paths(
     shared: dict[str, Any],
 ) -> Choice:
     spread = planned.noise(planned.light)
-    spp = _power((_MEAN * spread / noise) ** 2, 1, most)
+    spp = _power((MEAN * spread / noise) ** 2, 1, most)
     rays = sum(planned.rays.values()) / (planned.pixels * planned.paths)
     depth = min(max(composition.scattered + composition.mirrors, 1), 512)
     chosen = PathSettings(spp=spp, depth=depth, **shared)
-    return Choice(chosen, _MEAN * spread / math.sqrt(spp), pixels * spp * rays * _PATH_RAY)
+    return Choice(chosen, MEAN * spread / math.sqrt(spp), pixels * spp * rays * _PATH_RAY)
 
 
 def _even(
