@@ -10,7 +10,7 @@
 `samples`              embedded surfaces, made by code
 `random_fields`        periodic random fields, for `samples`
 `discs`                run lengths and pits of a compact disc
-`gratings`             sinusoidal, blazed and binary gratings with closed forms
+`gratings`             parametric surfaces with closed-form spectra
 `diffraction`          the diffraction BRDF of a heightfield, and its reference sum
 `statistical`          closed forms for surfaces known by their statistics
 `methods`              the ways to evaluate it

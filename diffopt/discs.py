@@ -59,7 +59,7 @@ def run_lengths(bits: int, draws: np.ndarray) -> list[int]:
         Uniform numbers in [0, 1), one for each run; ``bits`` of them are enough.
     """
     runs = np.arange(SHORTEST_RUN, LONGEST_RUN + 1)
-    weight = _growth() ** -runs.astype(np.float64)
+    weight = growth() ** -runs.astype(np.float64)
     # ways[p, n]: total weight of sequences of sum n whose number is p modulo 2.
     ways = np.zeros((2, bits + 1))
     ways[0, 0] = 1.0
@@ -128,7 +128,7 @@ def pits(
     return depth
 
 
-def _growth() -> float:
+def growth() -> float:
     """Root of sum over run lengths of root^-n = 1: 1.4558, a capacity of 0.5418 bits."""
     low, high = 1.0, 2.0
     for _ in range(60):

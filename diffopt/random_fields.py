@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from diffopt import checks
 from diffopt.errors import InputError
 
 
@@ -43,7 +44,10 @@ def periodic_gaussians(
 
 
 def gaussian_field(
-    key: Any, shape: tuple[int, int], pixel: tuple[float, float], length: float | int
+    key: Any,
+    shape: tuple[int, int],
+    pixel: tuple[float, float],
+    length: float | int | Array,
 ) -> Float[Array, "ny nx"]:
     """Periodic Gaussian field of unit variance with correlation exp(-r^2 / length^2).
 
@@ -54,27 +58,31 @@ def gaussian_field(
     shape, pixel
         (ny, nx) and (dy, dx) in micrometres.
     length
-        Micrometres: at least two pixels, at most a quarter of the shorter side.
+        Micrometres: at least two pixels, at most a quarter of the shorter side. The field is
+        differentiable in it.
 
     Raises
     ------
     InputError
-        If the length is out of range.
+        If the length is known and out of range.
     """
     (ny, nx), (dy, dx) = shape, pixel
     shorter = min(ny * dy, nx * dx)
-    if not 2 * max(dy, dx) <= length <= shorter / 4 * (1 + 1e-9):
+    known = checks.concrete(length)
+    if known is not None and not (
+        2 * max(dy, dx) * (1 - 1e-6) <= float(known) <= shorter / 4 * (1 + 1e-6)
+    ):
         raise InputError(
-            f"correlation_length={length:g} um: expected two pixels ({2 * max(dy, dx):g} um) to a "
-            f"quarter of the side ({shorter / 4:g} um)"
+            f"correlation_length={float(known):g} um: expected two pixels "
+            f"({2 * max(dy, dx):g} um) to a quarter of the side ({shorter / 4:g} um)"
         )
-    f2 = np.fft.fftfreq(ny, dy)[:, None] ** 2 + np.fft.rfftfreq(nx, dx)[None, :] ** 2
-    root = np.exp(-0.5 * (math.pi * float(length)) ** 2 * f2)
-    full = np.exp(-((math.pi * float(length)) ** 2) * _full_f2(shape, pixel))
-    root /= math.sqrt(full.mean())
     noise = jax.random.normal(key, shape, jnp.result_type(float))
     spectrum = jnp.fft.rfft2(noise)
-    return jnp.fft.irfft2(spectrum * jnp.asarray(root, spectrum.dtype), shape)
+    exponent = -((math.pi * jnp.asarray(length, noise.dtype)) ** 2)
+    f2 = np.fft.fftfreq(ny, dy)[:, None] ** 2 + np.fft.rfftfreq(nx, dx)[None, :] ** 2
+    root = jnp.exp(0.5 * exponent * jnp.asarray(f2, noise.dtype))
+    mean = jnp.exp(exponent * jnp.asarray(_full_f2(shape, pixel), noise.dtype)).mean()
+    return jnp.fft.irfft2(spectrum * (root / jnp.sqrt(mean)).astype(spectrum.dtype), shape)
 
 
 def _full_f2(shape: tuple[int, int], pixel: tuple[float, float]) -> np.ndarray:

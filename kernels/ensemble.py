@@ -15,7 +15,7 @@ from diffopt.kernels.expansions import taylor_coefficients
 from diffopt.kernels.phase import TWO_PI
 
 
-def _log_poisson(m: Array, g: Array) -> Array:
+def log_poisson(m: Array, g: Array) -> Array:
     """log(exp(-g) g^m / m!) for real m >= 1, without cancellation of large terms."""
     delta = (g - m) / m
     # log(g/m) keeps its digits far below the mean, log1p near it.
@@ -84,7 +84,7 @@ def gaussian_roughness(
     step = jnp.maximum(1.0, 20.0 * width / terms)
     first = jnp.maximum(1.0, jnp.floor(peak - 0.5 * terms * step))
     m = jax.lax.stop_gradient(first + step * jnp.arange(terms, dtype=g.dtype))
-    logs = _log_poisson(m, g) - a / m
+    logs = log_poisson(m, g) - a / m
     return jax.lax.stop_gradient(step) * (jnp.exp(logs) * (math.pi * length**2 / m)).sum()
 
 

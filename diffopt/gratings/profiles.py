@@ -1,8 +1,8 @@
 """Gratings with closed-form orders: sinusoidal, blazed and binary.
 
-Parameters are array leaves, so that fits can act on them. All profiles vary along x and
-repeat with ``period``. With u = -(sin(theta_i) + sin(theta_o)) the orders lie at
-u = -m wavelength / period, and their complex amplitudes are
+Profiles vary along the direction ``angle`` (from x towards y) and repeat with ``period``. With
+u = -(sin(theta_i) + sin(theta_o)) the orders lie at u = -m wavelength / period, and their
+complex amplitudes are
 
     c_m = (1 / period) * integral over one period of exp(i kappa h(x) - 2 pi i m x / period) dx,
 
@@ -14,12 +14,12 @@ Fourier Optics, 3rd edition, section 4.4.4), the others are sinc functions.
 Derivatives: the order amplitudes are differentiable in every parameter. So are the sampled
 heights of the sinusoid. The jumps of the blazed and binary profiles have no derivative on a
 grid: with ``edges="sharp"`` their heights have the right derivative in depth only, and those in
-period, shift and duty miss the moving jump. With ``edges="averaged"`` each sample is the mean
-over its pixel, and all derivatives are there.
+period, shift, duty and angle miss the moving jump. With ``edges="averaged"`` each sample is the
+mean over its pixel, and all derivatives are there.
 """
 
 import abc
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -28,8 +28,9 @@ import numpy as np
 from jaxtyping import Array, Complex, Float, Int
 
 from diffopt.errors import InputError
-from diffopt.heightfield import Heightfield, Number, Provenance
-from diffopt.io.record import pair
+from diffopt.gratings.base import Components, Reach, Surface, grid, lines, parameters
+from diffopt.heightfield import Number
+from diffopt.kernels import bessel
 
 # Nodes of the quadrature for J_m; the error is the sum of J_(m +- 512 k)(z), k > 0,
 # where |m| + |z| is below _BESSEL_REACH at most J_512(400) = 3e-26.
@@ -68,10 +69,12 @@ def bessel_j(order: int | Int[Array, "..."], z: Float[Array, "..."]) -> Float[Ar
     return jnp.mean(jnp.cos(z[..., None] * jnp.sin(t) - m[..., None] * t), axis=-1)
 
 
-class Grating(eqx.Module):
-    """What the gratings share: a period along x and sampling on a grid."""
+class Grating(Surface):
+    """What the gratings share: a profile along one direction, and orders."""
 
     period: eqx.AbstractVar[Float[Array, ""]]
+    angle: eqx.AbstractVar[Float[Array, ""]]
+    offset: eqx.AbstractVar[Float[Array, ""]]
 
     def heights(
         self,
@@ -79,8 +82,9 @@ class Grating(eqx.Module):
         pixel: Number | tuple[Number, Number],
         *,
         edges: str = "sharp",
+        key: Any = None,
     ) -> Float[Array, "ny nx"]:
-        """Heights on a grid whose pixel (ny // 2, nx // 2) lies at x = 0.
+        """Heights on a grid whose pixel (ny // 2, nx // 2) lies at x = y = 0.
 
         Parameters
         ----------
@@ -89,38 +93,53 @@ class Grating(eqx.Module):
         pixel
             (dy, dx), or one number for both, in micrometres.
         edges
-            ``"sharp"`` samples the profile, ``"averaged"`` takes its mean over each pixel.
+            ``"sharp"`` samples the profile, ``"averaged"`` takes its mean over each pixel: along
+            an axis exactly, at an angle over a line across it of the same variance.
+        key
+            Not used.
 
         Raises
         ------
         InputError
             If ``edges`` is another word.
         """
-        ny, nx = shape
-        dx = pair(pixel, "pixel")[1]
-        x = (jnp.arange(nx, dtype=self.period.dtype) - nx // 2) * dx
-        if edges == "sharp":
-            line = self.profile(x)
-        elif edges == "averaged":
-            line = (self.integral(x + dx / 2) - self.integral(x - dx / 2)) / dx
-        else:
-            raise InputError(f"edges={edges!r}: expected 'sharp' or 'averaged'")
-        return jnp.broadcast_to(line, (ny, nx))
+        y, x, sides = grid(shape, pixel, self.period.dtype)
+        across = jnp.cos(self.angle) * x[None, :] + jnp.sin(self.angle) * y[:, None]
+        return self.at(across, sides, edges)
 
-    def heightfield(
+    def at(
+        self, across: Float[Array, "..."], pixel: tuple[float, float], edges: str
+    ) -> Float[Array, "..."]:
+        """Height at positions across the lines; `pixel` and `edges` as in `heights`."""
+        if edges == "sharp":
+            return self.profile(across) + self.offset
+        if edges == "averaged":
+            (dy, dx), cos, sin = pixel, jnp.cos(self.angle), jnp.sin(self.angle)
+            half = 0.5 * jnp.sqrt((cos * dx) ** 2 + (sin * dy) ** 2)
+            mean = (self.integral(across + half) - self.integral(across - half)) / (2.0 * half)
+            return mean + self.offset
+        raise InputError(f"edges={edges!r}: expected 'sharp' or 'averaged'")
+
+    def components(
         self,
-        shape: tuple[int, int],
-        pixel: Number | tuple[Number, Number],
-        *,
-        edges: str = "sharp",
-    ) -> Heightfield:
-        """The heights of `heights` as a `Heightfield`."""
-        name = type(self).__name__.lower()
-        return Heightfield(
-            self.heights(shape, pixel, edges=edges),
-            pixel,
-            provenance=Provenance(f"{name} grating", steps=(f"{edges} samples",)),
-        )
+        fx: Float[Array, "*batch"],
+        fy: Float[Array, "*batch"],
+        kappa: Float[Array, "*batch"],
+        reach: Reach,
+    ) -> Components:
+        """Lines at the orders nearest to a frequency; see `Surface.components`."""
+        cos, sin = jnp.cos(self.angle), jnp.sin(self.angle)
+        order = nearby(-(fx * cos + fy * sin) * self.period, reach.each_side)
+        along = order.astype(fx.dtype) / self.period
+        weight = self.order_powers(order, kappa, reach)
+        return lines(weight, fx[None] + along * cos, fy[None] + along * sin)
+
+    def order_powers(
+        self, order: Int[Array, " K *batch"], kappa: Float[Array, "*batch"], reach: Reach
+    ) -> Float[Array, " K *batch"]:
+        """`order_efficiency` of several orders at each kappa."""
+        del reach
+        return self.order_efficiency(order, jnp.broadcast_to(kappa[None], order.shape))
 
     def order_efficiency(
         self, order: int | Int[Array, "..."], kappa: Float[Array, "..."]
@@ -131,7 +150,7 @@ class Grating(eqx.Module):
 
     @abc.abstractmethod
     def profile(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Height at x, both in micrometres."""
+        """Height at x across the lines, both in micrometres, without the offset."""
 
     @abc.abstractmethod
     def integral(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -141,7 +160,7 @@ class Grating(eqx.Module):
     def order_amplitude(
         self, order: int | Int[Array, "..."], kappa: Float[Array, "..."]
     ) -> Complex[Array, "..."]:
-        """Complex amplitude c_m of order m.
+        """Complex amplitude c_m of order m, without the phase of the offset.
 
         Parameters
         ----------
@@ -150,6 +169,13 @@ class Grating(eqx.Module):
         kappa
             2 pi w / wavelength of that order, in 1/um; negative for reflection.
         """
+
+
+def nearby(place: Float[Array, "*batch"], each_side: int) -> Int[Array, " K *batch"]:
+    """The whole numbers around `place`, `each_side` on either side of the nearest."""
+    nearest = jnp.round(jax.lax.stop_gradient(place)).astype(jnp.int32)
+    steps = jnp.arange(-each_side, each_side + 1, dtype=jnp.int32)
+    return nearest[None] + steps.reshape((-1,) + (1,) * place.ndim)
 
 
 class Sinusoidal(Grating):
@@ -163,14 +189,41 @@ class Sinusoidal(Grating):
         Micrometres; half of peak-to-valley.
     phase
         Radians.
+    angle
+        Direction across the lines, radians from x towards y.
+    offset
+        Mean height, micrometres.
     """
+
+    PARAMETERS: ClassVar = {
+        "period": "length",
+        "amplitude": "height",
+        "phase": "phase",
+        "angle": "angle",
+        "offset": "height",
+    }
 
     period: Float[Array, ""]
     amplitude: Float[Array, ""]
     phase: Float[Array, ""]
+    angle: Float[Array, ""]
+    offset: Float[Array, ""]
 
-    def __init__(self, period: Any, amplitude: Any, phase: Any = 0.0):
-        self.period, self.amplitude, self.phase = _parameters(period, amplitude, phase)
+    def __init__(
+        self, period: Any, amplitude: Any, phase: Any = 0.0, angle: Any = 0.0, offset: Any = 0.0
+    ):
+        given = (period, amplitude, phase, angle, offset)
+        self.period, self.amplitude, self.phase, self.angle, self.offset = parameters(
+            dict(zip(self.PARAMETERS, given, strict=True)), Sinusoidal
+        )
+
+    def order_powers(
+        self, order: Int[Array, " K *batch"], kappa: Float[Array, "*batch"], reach: Reach
+    ) -> Float[Array, " K *batch"]:
+        """J_m^2 of several orders, from one sequence for each kappa."""
+        nodes = bessel.sequence_nodes(reach.highest, reach.phase)
+        values = bessel.bessel_sequence(kappa * self.amplitude, reach.highest, nodes=nodes)
+        return bessel.signed(values, order) ** 2
 
     def profile(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
         """Height at x, both in micrometres."""
@@ -186,7 +239,7 @@ class Sinusoidal(Grating):
     ) -> Complex[Array, "..."]:
         """Complex amplitude c_m; see `Grating.order_amplitude` and `bessel_j` for its range."""
         turn = jnp.asarray(order, kappa.dtype) * (self.phase + jnp.pi / 2)
-        return _polar(bessel_j(order, kappa * self.amplitude), turn)
+        return polar(bessel_j(order, kappa * self.amplitude), turn)
 
 
 class Blazed(Grating):
@@ -202,23 +255,42 @@ class Blazed(Grating):
         Micrometres; negative for teeth that fall along +x.
     shift
         Position of a jump, in periods.
+    angle
+        Direction across the lines, radians from x towards y.
+    offset
+        Height of the feet of the teeth, micrometres.
     """
+
+    PARAMETERS: ClassVar = {
+        "period": "length",
+        "depth": "height",
+        "shift": "turns",
+        "angle": "angle",
+        "offset": "height",
+    }
 
     period: Float[Array, ""]
     depth: Float[Array, ""]
     shift: Float[Array, ""]
+    angle: Float[Array, ""]
+    offset: Float[Array, ""]
 
-    def __init__(self, period: Any, depth: Any, shift: Any = 0.0):
-        self.period, self.depth, self.shift = _parameters(period, depth, shift)
+    def __init__(
+        self, period: Any, depth: Any, shift: Any = 0.0, angle: Any = 0.0, offset: Any = 0.0
+    ):
+        given = (period, depth, shift, angle, offset)
+        self.period, self.depth, self.shift, self.angle, self.offset = parameters(
+            dict(zip(self.PARAMETERS, given, strict=True)), Blazed
+        )
 
     def profile(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
         """Height at x, both in micrometres."""
-        return self.depth * _frac(x / self.period - self.shift)
+        return self.depth * frac(x / self.period - self.shift)
 
     def integral(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
         """Antiderivative of the profile at x, in um^2."""
         t = x / self.period - self.shift
-        whole, part = jnp.floor(t), _frac(t)
+        whole, part = jnp.floor(t), frac(t)
         return self.depth * self.period * 0.5 * (whole + part**2)
 
     def order_amplitude(
@@ -227,7 +299,7 @@ class Blazed(Grating):
         """Complex amplitude c_m; see `Grating.order_amplitude`."""
         m = jnp.asarray(order, kappa.dtype)
         q = kappa * self.depth / (2 * jnp.pi) - m
-        return _polar(jnp.sinc(q), jnp.pi * q - 2 * jnp.pi * m * self.shift)
+        return polar(jnp.sinc(q), jnp.pi * q - 2 * jnp.pi * m * self.shift)
 
 
 class Binary(Grating):
@@ -245,26 +317,51 @@ class Binary(Grating):
         Share of the period that is ridge, 0 to 1.
     shift
         Position of the rising edge, in periods.
+    angle
+        Direction across the lines, radians from x towards y.
+    offset
+        Height between the ridges, micrometres.
     """
+
+    PARAMETERS: ClassVar = {
+        "period": "length",
+        "depth": "height",
+        "duty": "share",
+        "shift": "turns",
+        "angle": "angle",
+        "offset": "height",
+    }
 
     period: Float[Array, ""]
     depth: Float[Array, ""]
     duty: Float[Array, ""]
     shift: Float[Array, ""]
+    angle: Float[Array, ""]
+    offset: Float[Array, ""]
 
-    def __init__(self, period: Any, depth: Any, duty: Any = 0.5, shift: Any = 0.0):
-        values = _parameters(period, depth, duty, shift)
-        self.period, self.depth, self.duty, self.shift = values
+    def __init__(
+        self,
+        period: Any,
+        depth: Any,
+        duty: Any = 0.5,
+        shift: Any = 0.0,
+        angle: Any = 0.0,
+        offset: Any = 0.0,
+    ):
+        given = (period, depth, duty, shift, angle, offset)
+        self.period, self.depth, self.duty, self.shift, self.angle, self.offset = parameters(
+            dict(zip(self.PARAMETERS, given, strict=True)), Binary
+        )
 
     def profile(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
         """Height at x, both in micrometres."""
-        ridge = _frac(x / self.period - self.shift) < self.duty
+        ridge = frac(x / self.period - self.shift) < self.duty
         return jnp.where(ridge, self.depth, jnp.zeros_like(self.depth))
 
     def integral(self, x: Float[Array, "..."]) -> Float[Array, "..."]:
         """Antiderivative of the profile at x, in um^2."""
         t = x / self.period - self.shift
-        whole, part = jnp.floor(t), _frac(t)
+        whole, part = jnp.floor(t), frac(t)
         return self.depth * self.period * (whole * self.duty + jnp.minimum(part, self.duty))
 
     def order_amplitude(
@@ -272,26 +369,19 @@ class Binary(Grating):
     ) -> Complex[Array, "..."]:
         """Complex amplitude c_m; see `Grating.order_amplitude`."""
         m = jnp.asarray(order, kappa.dtype)
-        ridge = _polar(
+        ridge = polar(
             self.duty * jnp.sinc(m * self.duty), -jnp.pi * m * (self.duty + 2 * self.shift)
         )
-        step = _polar(jnp.ones_like(kappa), kappa * self.depth) - 1
+        step = polar(jnp.ones_like(kappa), kappa * self.depth) - 1
         return (m == 0).astype(step.dtype) + step * ridge
 
 
-def _polar(radius: Float[Array, "..."], angle: Float[Array, "..."]) -> Complex[Array, "..."]:
+def polar(radius: Float[Array, "..."], angle: Float[Array, "..."]) -> Complex[Array, "..."]:
     """Return radius e^(i angle), from real parts: no type is mixed with another."""
     radius, angle = jnp.broadcast_arrays(radius, angle)
     return jax.lax.complex(radius * jnp.cos(angle), radius * jnp.sin(angle))
 
 
-def _frac(t: Float[Array, "..."]) -> Float[Array, "..."]:
+def frac(t: Float[Array, "..."]) -> Float[Array, "..."]:
     """Fractional part, from the floor; the derivative is 1 everywhere."""
     return t - jnp.floor(t)
-
-
-def _parameters(*values: Any) -> list[Float[Array, ""]]:
-    """Scalars as arrays of one floating-point type: that of the arrays among them."""
-    arrays = [v for v in values if hasattr(v, "dtype")]
-    dtype = jnp.result_type(*arrays) if arrays else jnp.result_type(float)
-    return [jnp.asarray(value, dtype) for value in values]

@@ -1,0 +1,284 @@
+"""What parametric surfaces share: parameters with their kinds, heights, and spectra.
+
+A surface is a pytree whose array leaves are physical parameters. It has heights on a grid, and
+the power spectrum of exp(i kappa h) in closed form, as Gaussians in spatial frequency
+(`Components`), from which reflectance follows (`diffopt.gratings.reflectance`).
+"""
+
+import abc
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from diffopt.errors import InputError
+from diffopt.heightfield import Heightfield, Number, Provenance
+from diffopt.io.record import pair
+
+#: Kinds of parameters, their units, and what values they may take.
+KINDS: dict[str, tuple[str, str]] = {
+    "length": ("um", "above 0"),
+    "height": ("um", "of either sign"),
+    "density": ("1/um^2", "above 0"),
+    "share": ("", "between 0 and 1"),
+    "spread": ("", "0 or more"),
+    "angle": ("rad", "any"),
+    "turns": ("periods", "any"),
+    "phase": ("rad", "any"),
+}
+#: Parameters that |P|^2 averaged over positions does not depend on.
+UNSEEN = ("shift", "phase", "offset")
+
+
+@dataclasses.dataclass(frozen=True)
+class Reach:
+    """What is summed of a spectrum; static, so that shapes are.
+
+    Attributes
+    ----------
+    each_side
+        Orders on either side of the nearest one.
+    highest
+        Orders beyond this number are taken as dark.
+    phase
+        Largest kappa times amplitude that closed forms are to hold for, radians.
+    terms
+        Of the series of random displacements.
+    """
+
+    each_side: int = 2
+    highest: int = 32
+    phase: float = 60.0
+    terms: int = 32
+
+
+class Components(eqx.Module):
+    """Power spectrum of exp(i kappa h) near a frequency f: Gaussians, and a continuum.
+
+    Attributes
+    ----------
+    weight
+        Shares of the power, [K, ...]; those of all orders together are 1.
+    x, y
+        f less the centre, 1/um, [K, ...].
+    xx, xy, yy
+        Covariance in 1/um^2, [K, ...]; 0 for a line.
+    density
+        Power per area of frequency that is smooth on the scale of the lines, um^2, [...].
+    """
+
+    weight: Float[Array, " K *batch"]
+    x: Float[Array, " K *batch"]
+    y: Float[Array, " K *batch"]
+    xx: Float[Array, " K *batch"]
+    xy: Float[Array, " K *batch"]
+    yy: Float[Array, " K *batch"]
+    density: Float[Array, "*batch"]
+
+    def power(
+        self, sigma_f: Float[Array, "*batch"], spread: Float[Array, "*batch"]
+    ) -> Float[Array, "*batch"]:
+        """|P|^2 averaged over positions of a Gaussian window, relative to a mirror's peak.
+
+        Parameters
+        ----------
+        sigma_f
+            Of the window, 1 / (2 pi sigma_s), cycles/um.
+        spread
+            The same widened by the blur over directions.
+        """
+        # exp(-f^2 / sigma_f^2) has variance sigma_f^2 / 2.
+        narrow, wide = 0.5 * sigma_f[None] ** 2, 0.5 * spread[None] ** 2
+        xx, yy = self.xx + wide, self.yy + wide
+        determinant = xx * yy - self.xy**2
+        square = yy * self.x**2 - 2.0 * self.xy * self.x * self.y + xx * self.y**2
+        lines = self.weight * jnp.exp(-0.5 * square / determinant)
+        return (lines * narrow / jnp.sqrt(determinant)).sum(0) + self.density * (
+            math.pi * sigma_f**2
+        )
+
+
+def lines(
+    weight: Float[Array, " K *batch"], x: Float[Array, " K *batch"], y: Float[Array, " K *batch"]
+) -> Components:
+    """Components without width or continuum."""
+    none = jnp.zeros_like(weight)
+    return Components(weight, x, y, none, none, none, jnp.zeros_like(weight[0]))
+
+
+class Surface(eqx.Module):
+    """A parametric surface."""
+
+    #: Parameters by name, with their kinds (`KINDS`).
+    PARAMETERS: ClassVar[dict[str, str]] = {}
+    #: Whether heights are drawn at random.
+    RANDOM: ClassVar[bool] = False
+
+    @abc.abstractmethod
+    def heights(
+        self,
+        shape: tuple[int, int],
+        pixel: Number | tuple[Number, Number],
+        *,
+        edges: str = "sharp",
+        key: Any = None,
+    ) -> Float[Array, "ny nx"]:
+        """Heights on a grid whose pixel (ny // 2, nx // 2) lies at x = y = 0."""
+
+    @abc.abstractmethod
+    def components(
+        self,
+        fx: Float[Array, "*batch"],
+        fy: Float[Array, "*batch"],
+        kappa: Float[Array, "*batch"],
+        reach: Reach,
+    ) -> Components:
+        """Spectrum of exp(i kappa h) near frequencies.
+
+        Parameters
+        ----------
+        fx, fy
+            (u, v) / wavelength, cycles per micrometre.
+        kappa
+            2 pi w / wavelength, 1/um.
+        reach
+            What is summed.
+        """
+
+    def heightfield(
+        self,
+        shape: tuple[int, int],
+        pixel: Number | tuple[Number, Number],
+        *,
+        edges: str = "sharp",
+        key: Any = None,
+    ) -> Heightfield:
+        """The heights of `heights` as a `Heightfield`."""
+        return Heightfield(
+            self.heights(shape, pixel, edges=edges, key=key),
+            pixel,
+            provenance=Provenance(f"{self.title} grating", steps=(f"{edges} samples",)),
+        )
+
+    @property
+    def title(self) -> str:
+        """Name in lower case."""
+        return type(self).__name__.lower()
+
+    @property
+    def dtype(self) -> Any:
+        """Floating-point type of the parameters."""
+        return self.get(next(iter(kinds(self)))).dtype
+
+    def get(self, path: str) -> Float[Array, ""]:
+        """A parameter by its name, as ``period`` or ``grating.period``."""
+        return _walk(self, path)
+
+    def replaced(self, values: dict[str, Any]) -> "Surface":
+        """With other values of some parameters."""
+        paths = list(values)
+        dtype = self.dtype
+        return eqx.tree_at(
+            lambda s: [_walk(s, path) for path in paths],
+            self,
+            [jnp.asarray(values[path], dtype) for path in paths],
+        )
+
+    def __str__(self) -> str:
+        names = (f"{path} {float(self.get(path)):.6g}" for path in kinds(self))
+        return f"{type(self).__name__}({', '.join(names)})"
+
+
+def _walk(surface: Any, path: str) -> Any:
+    for name in path.split("."):
+        surface = getattr(surface, name)
+    return surface
+
+
+def kinds(surface: Surface) -> dict[str, str]:
+    """All parameters of a surface and of those within it: path and kind."""
+    found = dict(surface.PARAMETERS)
+    for field in dataclasses.fields(surface):
+        inner = getattr(surface, field.name)
+        if isinstance(inner, Surface):
+            found |= {f"{field.name}.{path}": kind for path, kind in kinds(inner).items()}
+    return found
+
+
+def seen_in_power(surface: Surface) -> tuple[str, ...]:
+    """Parameters that reflectance averaged over positions depends on."""
+    return tuple(path for path in kinds(surface) if path.split(".")[-1] not in UNSEEN)
+
+
+def grid(
+    shape: tuple[int, int], pixel: Number | tuple[Number, Number], dtype: Any
+) -> tuple[Float[Array, " ny"], Float[Array, " nx"], tuple[float, float]]:
+    """Positions of rows and columns, and (dy, dx), in micrometres."""
+    (ny, nx), (dy, dx) = shape, pair(pixel, "pixel")
+    y = (jnp.arange(ny, dtype=dtype) - ny // 2) * dy
+    x = (jnp.arange(nx, dtype=dtype) - nx // 2) * dx
+    return y, x, (dy, dx)
+
+
+def parameters(values: dict[str, Any], owner: type[Surface]) -> list[Float[Array, ""]]:
+    """Scalars as arrays of one floating-point type: that of the arrays among them.
+
+    Raises
+    ------
+    InputError
+        If one is known and no finite number, or not of its kind.
+    """
+    arrays = [v for v in values.values() if hasattr(v, "dtype")]
+    dtype = jnp.result_type(*arrays) if arrays else jnp.result_type(float)
+    out = []
+    for name, value in values.items():
+        _check(f"{owner.__name__}: {name}", value, owner.PARAMETERS[name])
+        out.append(jnp.asarray(value, dtype))
+    return out
+
+
+def _check(name: str, value: Any, kind: str) -> None:
+    from diffopt import checks
+
+    number = checks.concrete(value)
+    if number is None or np.ndim(number) != 0:
+        return
+    number = float(number)
+    unit, expected = KINDS[kind]
+    good = math.isfinite(number)
+    if kind in ("length", "density"):
+        good = good and number > 0
+    elif kind == "share":
+        good = 0 <= number <= 1
+    elif kind == "spread":
+        good = good and number >= 0
+    if not good:
+        raise InputError(
+            f"{name} must be a finite number, {expected}{' in ' + unit if unit else ''}; "
+            f"received {number:g}"
+        )
+
+
+def require_key(surface: Surface, key: Any) -> Any:
+    """The key of a surface whose heights are drawn at random.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    if key is None:
+        raise InputError(
+            f"{type(surface).__name__}: heights are drawn at random, pass key=jax.random.key(...)"
+        )
+    return key
+
+
+def names(surfaces: Sequence[type[Surface]]) -> dict[str, type[Surface]]:
+    """Surfaces by the names that a command line takes."""
+    return {kind.__name__.lower(): kind for kind in surfaces}
