@@ -21,13 +21,13 @@ from diffopt import checks
 from diffopt.diffraction import DiffractionBRDF
 from diffopt.errors import InputError
 from diffopt.fitting.freeform_priors import (
-    Gain,
     Prior,
     Problem,
     forward_settings,
     posterior_deviation,
     prior_root,
     problem,
+    slopes,
 )
 from diffopt.fitting.measured import Measured
 from diffopt.fresnel import Reflectance
@@ -162,7 +162,6 @@ def fit_heights(
     average: Average | str = "positions",
     position: checks.Values = (0.0, 0.0),
     fresnel: Reflectance | None = None,
-    gain: Gain | str = "known",
     prior: Prior | str = "smooth",
     roughness: tuple[float, float] | None = None,
     weight: float | None = None,
@@ -178,14 +177,13 @@ def fit_heights(
     Parameters
     ----------
     measured
-        The data; converted to the dtype of the start. Its noise is taken as absolute; where
-        it was left out, as 1 % of the root mean square of the values.
+        The data, any quantity, gain and blur; converted to the dtype of the start. The noise is
+        taken as it is given, and where it was left out as 1 % of the root mean square of the
+        values. Only with ``noise_known`` a large misfit is a failure.
     start
         Where to start; its grid is that of the result.
     average, position, fresnel
         As for `diffopt.DiffractionBRDF`, whose defaults hold for all else.
-    gain
-        ``free`` fits a common factor on the model as well.
     prior
         ``smooth``: the change from the start has a white Laplacian, a tenth of the shortest
         wavelength in standard deviation at weight 1. ``spectrum``: heights about their mean
@@ -221,17 +219,21 @@ def fit_heights(
     window: Average = checks.choice("average", average, get_args(Average))
     chosen: Prior = checks.choice("prior", prior, get_args(Prior))
     name: Solver = checks.choice("solver", solver, get_args(Solver))
-    free: Gain = checks.choice("gain", gain, get_args(Gain))
     _check(measured, start, weight, max_steps, error_rank)
     checks.tolerance(tolerance)
     dtype = start.heights.dtype
     data = jax.tree.map(lambda leaf: leaf.astype(dtype), measured)
     brdf = DiffractionBRDF(
-        start, data.coherence, average=window, position=position, fresnel=fresnel
+        start,
+        data.coherence,
+        average=window,
+        position=position,
+        fresnel=fresnel,
+        blur=data.blur,
     )
     lam = np.asarray(measured.wavelengths, np.float64)
     root = prior_root(start, float(lam.min()), chosen, roughness)
-    inverse, known = _inverse_noise(measured)
+    inverse = _inverse_noise(measured)
     wave = -np.asarray(measured.wi + measured.wo, np.float64)
     span = 1.5 * float(jnp.ptp(start.heights)) + 0.25 * float(lam.min())
     made, y = problem(
@@ -242,7 +244,7 @@ def fit_heights(
         inverse=inverse,
         root=root,
         prior=chosen,
-        gain=free,
+        gain=data.gain,
         precondition=precondition,
     )
     run = _Run(
@@ -256,7 +258,7 @@ def fit_heights(
         span=span,
         resettle=lambda span: _settings(brdf, span, wave, lam),
     )
-    run.solve(weight, known)
+    run.solve(weight, data.noise_known)
     return _result(run, start, brdf, root, window, error_rank)
 
 
@@ -431,6 +433,7 @@ def _result(run: _Run, start, brdf, root, average, error_rank) -> HeightsFit:
                 heights,
                 jnp.asarray(root, heights.dtype),
                 jnp.asarray(run.weight, heights.dtype),
+                slopes(heights)[: 2 if average == "positions" else 0],
                 jax.random.key(0),
                 rank=error_rank,
             )
@@ -460,13 +463,13 @@ def _settings(brdf: DiffractionBRDF, span: float, wave: np.ndarray, lam: np.ndar
     return forward_settings(surface, wave, lam, _FORWARD)
 
 
-def _inverse_noise(measured: Measured) -> tuple[np.ndarray, bool]:
-    """One over the noise, and whether it was given."""
+def _inverse_noise(measured: Measured) -> np.ndarray:
+    """One over the noise."""
     noise = np.asarray(measured.noise, np.float64)
-    if (noise == 1.0).all():
+    if not measured.noise_known and (noise == 1.0).all():
         values = np.asarray(measured.values, np.float64)
-        return np.full_like(noise, 1.0 / (_NOISE * np.sqrt(np.mean(values**2)))), False
-    return 1.0 / noise, True
+        return np.full_like(noise, 1.0 / (_NOISE * np.sqrt(np.mean(values**2))))
+    return 1.0 / noise
 
 
 def _check(measured, start, weight, max_steps, error_rank):

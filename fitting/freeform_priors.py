@@ -29,6 +29,8 @@ Gain = Literal["known", "free"]
 _CHANGE = 0.1
 # White share of the variance in a spectrum that is taken from the start: 1 % in height.
 _FLOOR = 1e-4
+# Information on what is fixed by convention, in units of that of the prior.
+_HELD = 1e4
 # Lags that a spectrum from the start keeps, standard deviation as a share of the side.
 _LAGS = 0.15
 
@@ -92,6 +94,17 @@ def start_root(heights: np.ndarray) -> np.ndarray:
     power = np.maximum(np.fft.rfft2(covariance * taper).real, 0.0)
     power /= _mean(power, shape)
     return _scaled(np.sqrt(power + _FLOOR), float(heights.std()), shape)
+
+
+def slopes(heights: Float[Array, "ny nx"]) -> Float[Array, "2 ny nx"]:
+    """Derivatives along y and x of a periodic field, a pixel each: how it changes when moved."""
+    spectrum = jnp.fft.fft2(heights)
+    ny, nx = heights.shape
+    fy, fx = (jnp.asarray(np.fft.fftfreq(n), heights.dtype) for n in (ny, nx))
+    rates = jnp.stack(jnp.broadcast_arrays(fy[:, None], fx[None, :])) * (2.0 * math.pi)
+    # The product with i, in parts.
+    turned = jax.lax.complex(-spectrum.imag, spectrum.real)
+    return jnp.fft.ifft2(rates.astype(spectrum.dtype) * turned[None]).real
 
 
 def _squared_frequency(shape: tuple[int, int], pixel: tuple[float, float]) -> np.ndarray:
@@ -159,8 +172,10 @@ class Problem(eqx.Module):
         What is transformed; its heights are not used.
     wave, before
         Wave vectors [M, 3], and all factors before |P|^2 [M, L].
-    wavelengths, values, inverse
-        Micrometres [L], data and the inverse of their noise [M, L].
+    wavelengths, weights
+        Micrometres [L], and what turns spectra into colours [L, 3], or None.
+    values, inverse
+        Data and the inverse of their noise, [M, L] or [M, 3].
     base
         Heights at y = 0, micrometres.
     colour, white
@@ -173,8 +188,9 @@ class Problem(eqx.Module):
     wave: Float[Array, "M 3"]
     before: Float[Array, "M L"]
     wavelengths: Float[Array, " L"]
-    values: Float[Array, "M L"]
-    inverse: Float[Array, "M L"]
+    weights: Float[Array, "L 3"] | None
+    values: Float[Array, "M C"]
+    inverse: Float[Array, "M C"]
     base: Float[Array, "ny nx"]
     colour: Float[Array, "ny half"]
     white: Float[Array, "ny half"]
@@ -189,14 +205,17 @@ class Problem(eqx.Module):
 
     def residuals(
         self, heights: Float[Array, "ny nx"]
-    ) -> tuple[Float[Array, "M L"], Float[Array, ""]]:
+    ) -> tuple[Float[Array, "M C"], Float[Array, ""]]:
         """(a f - values) / noise, and the gain a: 1, or the best one where it is free."""
         surface = eqx.tree_at(lambda s: s.heights, self.surface, heights)
         if isinstance(self.settings, DirectSettings):
             power = methods.direct(surface, self.wave, self.wavelengths, self.settings)
         else:
             power = methods.separable_pairs(surface, self.wave, self.wavelengths, self.settings)
-        model, values = self.before * power * self.inverse, self.values * self.inverse
+        model, values = self.before * power, self.values * self.inverse
+        if self.weights is not None:
+            model = jnp.matmul(model, self.weights, precision="highest")
+        model = model * self.inverse
         gain = jnp.ones((), heights.dtype)
         if self.gain == "free":
             # The minimum over a in closed form: the derivative of the loss stays exact.
@@ -261,8 +280,9 @@ def problem(
     made = Problem(
         surface=brdf.surface,
         wave=frames.wave_vector(measured.wi, measured.wo),
-        before=factors(brdf, measured.wi, measured.wo, lam, measured.quantity),
+        before=_before(measured, brdf),
         wavelengths=lam,
+        weights=measured.weights,
         values=measured.values,
         inverse=jnp.asarray(inverse, dtype),
         base=base,
@@ -274,6 +294,14 @@ def problem(
         gain=gain,
     )
     return made, y
+
+
+def _before(measured: Measured, brdf: DiffractionBRDF) -> Float[Array, "M L"]:
+    """What |P|^2 is multiplied by to give the measured quantity, colours aside."""
+    if measured.quantity == "power":
+        return jnp.ones((len(measured.wi), len(measured.wavelengths)), measured.values.dtype)
+    output = "relative" if measured.quantity == "relative" else "spectral"
+    return factors(brdf, measured.wi, measured.wo, measured.wavelengths, output)
 
 
 def forward_settings(
@@ -309,6 +337,7 @@ def posterior_deviation(
     heights: Float[Array, "ny nx"],
     root: Float[Array, "ny half"],
     weight: Float[Array, ""],
+    fixed: Float[Array, "count ny nx"],
     key: Array,
     *,
     rank: int,
@@ -328,6 +357,8 @@ def posterior_deviation(
         Root spectrum of the prior.
     weight
         Of the prior.
+    fixed
+        Changes of the heights that are excluded by convention, as translations are.
     key
         Of the random vectors.
     rank
@@ -342,9 +373,13 @@ def posterior_deviation(
     zero = jnp.zeros(shape, dtype)
     _, adjoint = jax.vjp(along, zero)
 
+    known = jax.vmap(lambda field: filtered(field, root).reshape(-1))(fixed)
+    known = jnp.linalg.qr(known.T)[0]
+
     def product(z):
         _, change = jax.jvp(along, (zero,), (z,))
-        return adjoint(change)[0]
+        held = jnp.matmul(known, jnp.matmul(z.reshape(-1), known, precision="highest"))
+        return adjoint(change)[0] + _HELD * weight * held.reshape(shape)
 
     def products(rows):
         return jax.lax.map(product, rows.reshape(rank, *shape)).reshape(rank, -1)
@@ -365,13 +400,13 @@ def posterior_deviation(
     gram, turns = jnp.linalg.eigh(dot(factor, factor.T))
     gram = jnp.maximum(gram, 0.0)
     vectors = dot(turns.T, factor) / jnp.sqrt(jnp.maximum(gram, floor))[:, None]
-    known = gram / (weight + gram)
+    share = gram / (weight + gram)
 
     def gained(total, pair):
         vector, share = pair
         return total + share * filtered(vector.reshape(shape), root) ** 2, None
 
-    total, _ = jax.lax.scan(gained, zero, (vectors, known))
+    total, _ = jax.lax.scan(gained, zero, (vectors, share))
     unit = zero.at[0, 0].set(1.0)
     prior = jnp.sum(filtered(unit, root) ** 2)
     return jnp.sqrt(jnp.maximum(prior - total, 0.0) / weight)
