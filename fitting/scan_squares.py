@@ -1,0 +1,431 @@
+"""Least squares of a surface on a scan: plane and line offsets are eliminated in closed form.
+
+The heights are z = h(theta) + plane + offset of the line + noise. For given weights of the
+pixels the plane (free) and the offsets (with a Gaussian prior) are linear, and projecting them
+out of residuals and Jacobian leaves a problem in theta alone (variable projection: Golub and
+Pereyra 1973; for linear parts with fixed weights the projected Jacobian is exact). Outliers
+lose weight by Cauchy's function, in rounds.
+"""
+
+import dataclasses
+import math
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Float
+
+from diffopt.fitting.scan_register import Scan
+from diffopt.fitting.solvers import NormalLevenbergMarquardt
+from diffopt.gratings import Crossed, Grating, Surface
+from diffopt.gratings.base import kinds
+
+# Cauchy's constant: 95 % of the efficiency of least squares under Gaussian noise.
+_CAUCHY = 2.385
+# Precision of line offsets, in pixels, that leaves none.
+_NONE = 1e12
+_ROUNDS = 8
+# Rounds end where no parameter moves by this much of its standard error under white noise.
+_STILL = 0.02
+
+
+def free(surface: Surface) -> tuple[str, ...]:
+    """Parameters that heights depend on beyond a plane: all but offsets."""
+    return tuple(path for path in kinds(surface) if path.split(".")[-1] != "offset")
+
+
+def encoded(surface: Surface, names: tuple[str, ...], scale: float) -> np.ndarray:
+    """Numbers of order one without bounds: log of lengths, log odds of shares."""
+    out, found = [], kinds(surface)
+    for name in names:
+        value, kind = float(surface.get(name)), found[name]
+        if kind in ("length", "density"):
+            value = math.log(value)
+        elif kind == "share":
+            value = min(max(value, 1e-4), 1.0 - 1e-4)
+            value = math.log(value / (1.0 - value))
+        elif kind == "height":
+            value = value / scale
+        out.append(value)
+    return np.array(out)
+
+
+def decoded(
+    u: Float[Array, " P"], surface: Surface, names: tuple[str, ...], scale: Float[Array, ""]
+) -> Surface:
+    """The surface with parameters from `encoded`."""
+    found, values = kinds(surface), {}
+    for k, name in enumerate(names):
+        kind = found[name]
+        if kind in ("length", "density"):
+            values[name] = jnp.exp(u[k])
+        elif kind == "share":
+            values[name] = jax.nn.sigmoid(u[k])
+        else:
+            values[name] = u[k] * scale if kind == "height" else u[k]
+    return surface.replaced(values)
+
+
+def natural(u: np.ndarray, surface: Surface, names: tuple[str, ...], scale: float) -> np.ndarray:
+    """Derivatives of the parameters to their encoded numbers."""
+    found, out = kinds(surface), []
+    for k, name in enumerate(names):
+        value = float(surface.get(name))
+        kind = found[name]
+        if kind == "share":
+            value = value * (1.0 - value)
+        elif kind == "height":
+            value = scale
+        elif kind not in ("length", "density"):
+            value = 1.0
+        out.append(value)
+    return np.array(out)
+
+
+def field(
+    surface: Surface,
+    y: Float[Array, " ny"],
+    x: Float[Array, " nx"],
+    pixel: tuple[float, float],
+    edges: str,
+) -> Float[Array, "ny nx"]:
+    """Heights at rows and columns, of gratings and two of them crossed."""
+    if isinstance(surface, Crossed):
+        return field(surface.first, y, x, pixel, edges) + field(surface.second, y, x, pixel, edges)
+    assert isinstance(surface, Grating)
+    across = jnp.cos(surface.angle) * x[None, :] + jnp.sin(surface.angle) * y[:, None]
+    return surface.at(across, pixel, edges)
+
+
+class Pixels(eqx.Module):
+    """What the residuals are made of besides parameters: values are traced.
+
+    Attributes
+    ----------
+    heights
+        Over `scale`.
+    weight
+        Of each pixel; 0 where missing.
+    precision
+        Variance of the noise over that of line offsets.
+    y, x
+        Micrometres.
+    scale
+        Micrometres.
+    """
+
+    heights: Float[Array, "ny nx"]
+    weight: Float[Array, "ny nx"]
+    precision: Float[Array, ""]
+    y: Float[Array, " ny"]
+    x: Float[Array, " nx"]
+    scale: Float[Array, ""]
+
+
+def project(
+    values: Float[Array, "ny nx"], pixels: Pixels
+) -> tuple[Float[Array, "ny nx"], Float[Array, " ny"], Float[Array, " 3"]]:
+    """Remove plane and line offsets: what is left, the offsets, and (constant, y, x) slopes.
+
+    Slopes are per half a side.
+    """
+    w, total = pixels.weight, pixels.weight.sum(1) + pixels.precision
+    one = jnp.ones_like(values)
+    basis = jnp.stack(
+        [
+            one,
+            one * (pixels.y / jnp.abs(pixels.y).max())[:, None],
+            one * (pixels.x / jnp.abs(pixels.x).max())[None, :],
+        ]
+    )
+    means = (w[None] * basis).sum(2) / total[None]
+    reduced = w[None] * (basis - means[:, :, None])
+    matrix = jnp.einsum("ayx,byx->ab", reduced, basis, precision="highest")
+    right = jnp.einsum("ayx,yx->a", reduced, values, precision="highest")
+    plane = jnp.linalg.solve(matrix, right)
+    rest = values - jnp.einsum("a,ayx->yx", plane, basis, precision="highest")
+    lines = (w * rest).sum(1) / total
+    return rest - lines[:, None], lines, plane
+
+
+def residuals(
+    u: Float[Array, " P"],
+    pixels: Pixels,
+    surface: Surface,
+    names: tuple[str, ...],
+    pixel: tuple[float, float],
+    edges: str,
+) -> tuple[Float[Array, " N"], Float[Array, "P N"]]:
+    """Weighted residuals, those of the offsets' prior, and the rows of their Jacobian."""
+
+    def heights(v: Array) -> Array:
+        return (
+            field(decoded(v, surface, names, pixels.scale), pixels.y, pixels.x, pixel, edges)
+            / pixels.scale
+        )
+
+    def rows(values: Array) -> Array:
+        rest, lines, _ = project(values, pixels)
+        prior = jnp.sqrt(pixels.precision) * lines
+        return jnp.concatenate([(jnp.sqrt(pixels.weight) * rest).ravel(), prior])
+
+    value, derivative = jax.linearize(heights, u)
+    jacobian = jax.lax.map(lambda t: rows(-derivative(t)), jnp.eye(u.size, dtype=u.dtype))
+    return rows(pixels.heights - value), jacobian
+
+
+@eqx.filter_jit
+def _squares(
+    u: Array,
+    pixels: Pixels,
+    surface: Surface,
+    names: tuple[str, ...],
+    pixel: tuple[float, float],
+    edges: str,
+    steps: int,
+) -> tuple[Array, Array, Array, Array, Array]:
+    tolerance = 1e-7 if u.dtype == jnp.float64 else 1e-4
+
+    def function(v: Array, args: Pixels) -> tuple[Array, Array]:
+        return residuals(v, args, surface, names, pixel, edges)
+
+    solver = NormalLevenbergMarquardt(tolerance, tolerance)
+    found = optx.least_squares(
+        function, solver, u, pixels, has_aux=True, max_steps=steps, throw=False
+    )
+    value, jacobian = function(found.value, pixels)
+    matrix = jnp.matmul(jacobian, jacobian.T, precision="highest")
+    fitted = field(
+        decoded(found.value, surface, names, pixels.scale), pixels.y, pixels.x, pixel, edges
+    )
+    count = jnp.asarray(found.stats["num_steps"])
+    return found.value, fitted, matrix, count, optx.RESULTS.successful == found.result
+
+
+@eqx.filter_jit
+def _rest(fitted: Array, pixels: Pixels) -> tuple[Array, Array, Array]:
+    return project(pixels.heights - fitted / pixels.scale, pixels)
+
+
+@dataclasses.dataclass
+class Squares:
+    """A fit by least squares; lengths in micrometres.
+
+    Attributes
+    ----------
+    surface
+        With fitted parameters, offset 0 (the constant is that of the plane).
+    names, u
+        Free parameters and their encoded numbers.
+    matrix
+        Normal equations of the encoded numbers, heights over scale.
+    plane
+        Constant, slope along y, slope along x.
+    lines
+        Offset of each line.
+    rest
+        [ny, nx], scan less surface, plane and offsets.
+    weight
+        [ny, nx].
+    precision
+        See `Pixels`.
+    steps, converged
+        Of Levenberg and Marquardt in all rounds, and whether they came to an end.
+    inflation
+        Variance that the loss of weight adds, um^2.
+    """
+
+    surface: Surface
+    names: tuple[str, ...]
+    u: np.ndarray
+    matrix: np.ndarray
+    plane: np.ndarray
+    lines: np.ndarray
+    rest: np.ndarray
+    weight: np.ndarray
+    precision: float
+    steps: int
+    converged: bool
+    inflation: float
+
+
+def fit(
+    scan: Scan,
+    surface: Surface,
+    *,
+    drift: bool,
+    robust: bool,
+    edges: str,
+    max_steps: int,
+    dtype: Any,
+    precision: float | None = None,
+) -> Squares:
+    """Fit a grating, or two crossed, from a start.
+
+    Parameters
+    ----------
+    scan
+        The scan.
+    surface
+        The start.
+    drift
+        Whether lines have offsets.
+    robust
+        Whether outliers lose weight.
+    edges
+        Of the samples, see `Grating.heights`.
+    max_steps
+        Trial steps in all.
+    dtype
+        Of the computation.
+    precision
+        Of the offsets, if known from a coarser fit.
+    """
+    scale, names = scan.scale, free(surface)
+    surface = surface.replaced(dict.fromkeys(_offsets(surface), 0.0))
+    surface = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), surface)
+    u = jnp.asarray(encoded(surface, names, scale), dtype)
+    weight = scan.known.astype(float)
+    lam = _NONE if precision is None or not drift else precision
+    as_array = {"y": scan.y, "x": scan.x, "scale": scale, "heights": scan.heights / scale}
+    fixed = {name: jnp.asarray(value, dtype) for name, value in as_array.items()}
+    left, steps, settled = max_steps, 0, False
+    matrix = np.eye(len(names))
+    pixels = fitted = None
+    for k in range(_ROUNDS):
+        pixels = Pixels(
+            weight=jnp.asarray(weight, dtype), precision=jnp.asarray(lam, dtype), **fixed
+        )
+        before = np.asarray(u, float)
+        u, fitted, matrix, count, good = _squares(
+            u, pixels, surface, names, scan.pixel, edges, max_steps
+        )
+        steps, left = steps + int(count), left - int(count)
+        rest, lines, _ = (np.asarray(part, float) for part in _rest(fitted, pixels))
+        spread = _deviation(rest[scan.known])
+        error = spread / np.sqrt(np.maximum(np.diag(np.asarray(matrix, float)), 1e-30))
+        moved = np.abs(np.asarray(u, float) - before) / np.maximum(error, 1e-9)
+        if not good or left <= 0:
+            break
+        changes = robust or drift
+        if (k > 0 and moved.max() < max(_STILL, 0.0)) or not changes or spread == 0.0:
+            settled = True
+            break
+        if robust:
+            weight = scan.known / (1.0 + (rest / (_CAUCHY * spread)) ** 2)
+        if drift:
+            lam = _precision(rest + lines[:, None], weight, spread)
+    else:
+        settled = True
+    assert pixels is not None and fitted is not None
+    rest, lines, plane = (np.asarray(part, float) for part in _rest(fitted, pixels))
+    half = np.array([1.0, np.abs(scan.y).max(), np.abs(scan.x).max()])
+    return Squares(
+        surface=decoded(u, surface, names, jnp.asarray(scale, dtype)),
+        names=names,
+        u=np.asarray(u, float),
+        matrix=np.asarray(matrix, float),
+        plane=plane * scale / half,
+        lines=lines * scale,
+        rest=rest * scale,
+        weight=np.asarray(pixels.weight, float),
+        precision=float(lam),
+        steps=steps,
+        converged=settled,
+        inflation=_inflation(rest[scan.known]) * scale**2 if robust else 0.0,
+    )
+
+
+def _offsets(surface: Surface) -> list[str]:
+    return [path for path in kinds(surface) if path.split(".")[-1] == "offset"]
+
+
+def _deviation(values: np.ndarray) -> float:
+    return float(1.4826 * np.median(np.abs(values - np.median(values))))
+
+
+def _precision(rest: np.ndarray, weight: np.ndarray, spread: float) -> float:
+    """Variance of noise over that of line offsets, from the means of the lines."""
+    total = weight.sum(1)
+    full = total > 0
+    means = (weight * rest).sum(1)[full] / total[full]
+    variance = _deviation(means) ** 2 - spread**2 / max(float(total[full].mean()), 1.0)
+    return min(spread**2 / max(variance, 1e-30), _NONE)
+
+
+def _inflation(rest: np.ndarray) -> float:
+    """Variance that Cauchy's weights add to that of the estimate, per pixel, beyond the noise's.
+
+    The estimate's variance is that of mean(psi^2) / mean(psi')^2 white noise (Huber 1981).
+    """
+    s = _CAUCHY * max(_deviation(rest), 1e-30)
+    t = (rest / s) ** 2
+    psi2 = (rest / (1.0 + t)) ** 2
+    slope = ((1.0 - t) / (1.0 + t) ** 2).mean()
+    core = (s / _CAUCHY) ** 2
+    return max(float(psi2.mean() / slope**2) - core, 0.0)
+
+
+@eqx.filter_jit
+def _gains(
+    u: Array,
+    pixels: Pixels,
+    surface: Surface,
+    names: tuple[str, ...],
+    pixel: tuple[float, float],
+    edges: str,
+) -> tuple[Array, Array]:
+    """Derivatives, and the images that a deviation is summed with, before the matrix."""
+
+    def heights(v: Array) -> Array:
+        return (
+            field(decoded(v, surface, names, pixels.scale), pixels.y, pixels.x, pixel, edges)
+            / pixels.scale
+        )
+
+    _, derivative = jax.linearize(heights, u)
+    jacobian = jax.lax.map(derivative, jnp.eye(u.size, dtype=u.dtype))
+    rest = jax.lax.map(lambda row: project(row, pixels)[0] * pixels.weight, jacobian)
+    return jacobian, rest
+
+
+def covariance(
+    found: Squares, scan: Scan, edges: str, correlation: np.ndarray, white: float, dtype: Any
+) -> np.ndarray:
+    """Covariance of the encoded parameters under correlated noise (sandwich).
+
+    Parameters
+    ----------
+    found, scan, edges
+        The fit.
+    correlation
+        [2 ny, 2 nx] covariance of the noise at lags in the order of the FFT, um^2.
+    white
+        Variance of white noise, um^2, in `correlation` not included.
+    dtype
+        Of the computation.
+    """
+    # Weights that fall with the noise itself are in `inflation`, not here.
+    pixels = Pixels(
+        heights=jnp.asarray(scan.heights / scan.scale, dtype),
+        weight=jnp.asarray(scan.known, dtype),
+        precision=jnp.asarray(found.precision, dtype),
+        y=jnp.asarray(scan.y, dtype),
+        x=jnp.asarray(scan.x, dtype),
+        scale=jnp.asarray(scan.scale, dtype),
+    )
+    u = jnp.asarray(found.u, dtype)
+    rows, gains = _gains(u, pixels, found.surface, found.names, scan.pixel, edges)
+    rows, gains = np.asarray(rows, float), np.asarray(gains, float)
+    matrix = np.einsum("ayx,byx->ab", rows, gains)
+    ny, nx = scan.heights.shape
+    spectrum = np.fft.rfft2(correlation).real
+    middle = (white + found.inflation) * np.einsum("ayx,byx->ab", gains, gains)
+    for a, row in enumerate(gains):
+        wide = np.fft.irfft2(np.fft.rfft2(row, (2 * ny, 2 * nx)) * spectrum, (2 * ny, 2 * nx))
+        middle[a] += np.einsum("yx,byx->b", wide[:ny, :nx], gains)
+    inverse = np.linalg.pinv(matrix, hermitian=True, rcond=1e-12)
+    return inverse @ (0.5 * (middle + middle.T)) @ inverse.T / scan.scale**2
