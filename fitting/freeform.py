@@ -23,11 +23,13 @@ from diffopt.errors import InputError
 from diffopt.fitting.freeform_priors import (
     Prior,
     Problem,
+    filtered,
     forward_settings,
     posterior_deviation,
     prior_root,
     problem,
     slopes,
+    weighted,
 )
 from diffopt.fitting.measured import Measured
 from diffopt.fresnel import Reflectance
@@ -145,14 +147,28 @@ def _advance(made, y, arrays, count, *, name):
     state = eqx.combine(arrays, static)
     chi2, gain = state.aux
     gradient = jnp.sum(state.f_info.grad**2)
+    change = filtered(y, made.colour.astype(y.dtype))
     span = jnp.ptp(made.heights(y))
-    return y, arrays, (state.f_info.f, chi2, gain, gradient, span)
+    return y, arrays, change, (state.f_info.f, chi2, gain, gradient, span)
 
 
 @eqx.filter_jit
-def _curvature(made, y):
-    loss, (chi2, gain) = made.loss(y)
-    return (loss, chi2, gain), made.curvature(y)
+def _mean_curvature(made, change, key):
+    """Of the misfit, at all frequencies alike, for changes of height."""
+    return made.curvature(change, jax.random.normal(key, change.shape, change.dtype))
+
+
+@eqx.filter_jit
+def _prepare(made, change, weight, data, *, precondition):
+    """The problem at a weight, its unknowns scaled so that a step of the gradient fits."""
+    if precondition:
+        made, y = weighted(made, change, weight, data)
+    else:
+        made, y = eqx.tree_at(lambda p: p.weight, made, weight), change
+    scale = jnp.sqrt(made.curvature(y))
+    made = eqx.tree_at(lambda p: p.colour, made, made.colour / scale)
+    y = y * scale.astype(y.dtype)
+    return made, y, made.loss(y)
 
 
 def fit_heights(
@@ -203,7 +219,8 @@ def fit_heights(
         Converged when a block of 10 steps lowers the loss by less than this share, and a step
         along the gradient would too.
     precondition
-        Solve in unknowns in which the prior is white; False is for comparison.
+        Solve in unknowns in which the curvatures of data and prior together are about one at
+        every frequency; False, for comparison, in heights.
     error_rank
         Directions of the unknowns that `error_map` follows; 0 leaves it out.
     progress
@@ -236,7 +253,7 @@ def fit_heights(
     inverse = _inverse_noise(measured)
     wave = -np.asarray(measured.wi + measured.wo, np.float64)
     span = 1.5 * float(jnp.ptp(start.heights)) + 0.25 * float(lam.min())
-    made, y = problem(
+    made, change = problem(
         data,
         start,
         brdf,
@@ -245,13 +262,13 @@ def fit_heights(
         root=root,
         prior=chosen,
         gain=data.gain,
-        precondition=precondition,
     )
     run = _Run(
         made=made,
-        y=y,
+        change=change,
         prior=chosen,
         name=name,
+        precondition=precondition,
         tolerance=tolerance,
         max_steps=max_steps,
         progress=progress,
@@ -263,15 +280,29 @@ def fit_heights(
 
 
 class _Run:
-    """The loop on the host: stages of masks and weights, blocks of steps."""
+    """The loop on the host: stages of weights, blocks of steps."""
 
-    def __init__(self, *, made, y, prior, name, tolerance, max_steps, progress, span, resettle):
-        self.made, self.y, self.prior, self.name = made, y, prior, name
-        self.tolerance, self.max_steps, self.progress = tolerance, max_steps, progress
-        self.span, self.resettle = span, resettle
+    def __init__(
+        self,
+        *,
+        made,
+        change,
+        prior,
+        name,
+        precondition,
+        tolerance,
+        max_steps,
+        progress,
+        span,
+        resettle,
+    ):
+        self.made, self.change, self.prior, self.name = made, change, prior, name
+        self.precondition, self.tolerance, self.max_steps = precondition, tolerance, max_steps
+        self.progress, self.span, self.resettle = progress, span, resettle
         self.steps, self.history, self.reason, self.converged = 0, [], "", False
         self.loss = self.chi2 = math.nan
         self.gain = self.weight = 1.0
+        self.data = _mean_curvature(made, change, jax.random.key(0))
 
     def solve(self, weight, known):
         """All stages; sets `converged` and `reason`."""
@@ -300,8 +331,9 @@ class _Run:
         weight = 1.0
         if self.prior == "smooth":
             # Strong enough to hold the start: the change is let go from smooth to rough.
-            _, (data, rough) = _curvature(self.made, self.y)
-            weight = float(data) / max(float(rough), 1e-300)
+            white = self.made.white
+            softest = jnp.where(white > 0.0, white, jnp.inf).min()
+            weight = float(self.data) / float(softest) ** 2
         for _ in range(_FALLS):
             if self._stage(weight, _LOOSE, target) or self.steps >= self.max_steps:
                 break
@@ -310,15 +342,16 @@ class _Run:
 
     def _stage(self, weight, tolerance, target) -> bool:
         """Blocks of steps at one weight; whether chi^2 per value came down to the target."""
-        made, self.weight = self.made, weight
-        dtype, count = made.base.dtype, made.values.size
-        made = eqx.tree_at(lambda p: p.weight, made, jnp.asarray(weight, dtype))
-        seen, (data, rough) = _curvature(made, self.y)
-        self.loss, self.chi2, self.gain = (float(value) for value in seen)
-        scale = jnp.sqrt(data + jnp.asarray(weight, dtype) * rough)
-        made = eqx.tree_at(lambda p: p.scale, made, scale)
-        wide = scale.astype(self.y.dtype)
-        y, best = self.y * wide, self.loss
+        self.weight, count = weight, self.made.values.size
+        made, y, (loss, (chi2, gain)) = _prepare(
+            self.made,
+            self.change,
+            jnp.asarray(weight, self.data.dtype),
+            self.data,
+            precondition=self.precondition,
+        )
+        self.loss, self.chi2, self.gain = float(loss), float(chi2), float(gain)
+        best = self.loss
         if not math.isfinite(best):
             self.converged, self.reason = False, "The loss of the start is not finite."
             return True
@@ -327,9 +360,10 @@ class _Run:
         arrays = _begin(made, y, name=self.name)
         while self.steps < self.max_steps:
             steps = min(_BLOCK, self.max_steps - self.steps)
-            y, arrays, seen = _advance(made, y, arrays, jnp.asarray(steps), name=self.name)
+            count_steps = jnp.asarray(steps)
+            y, arrays, change, seen = _advance(made, y, arrays, count_steps, name=self.name)
             loss, chi2, gain, gradient, span = (float(v) for v in seen)
-            self.y = y / wide
+            self.change = change
             self.steps += steps
             self.loss, self.chi2, self.gain = loss, chi2, gain
             self.history.append(loss)
@@ -421,7 +455,7 @@ def _signed(move: Move, field: Array) -> Array:
 
 def _result(run: _Run, start, brdf, root, average, error_rank) -> HeightsFit:
     surface = brdf.surface
-    heights = run.made.heights(run.y)
+    heights = run.made.base + run.change.astype(run.made.base.dtype)
     middle = tuple(float(c) / d for c, d in zip(surface.center, surface.pixel, strict=True))
     middle = [float(c) / d for c, d in zip(surface.center, surface.pixel, strict=True)]
     aligned, move = nearest_equal(heights, start.heights, average, (middle[0], middle[1]))

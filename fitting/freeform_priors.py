@@ -162,9 +162,9 @@ def prior_root(
 class Problem(eqx.Module):
     """Loss of free heights over unknowns y, [ny, nx].
 
-    ``0.5 (sum ((a f - values) / noise)^2 + weight sum (white y)^2)``, heights
-    ``base + colour (y / scale)``; colour and white are circular convolutions with
-    ``white colour^-1`` the inverse root of the prior's covariance.
+    ``0.5 (sum ((a f - values) / noise)^2 + weight sum (white change)^2)`` with
+    ``change = colour y`` of the heights from the base; colour and white are circular
+    convolutions, white with the inverse root of the prior's covariance.
 
     Attributes
     ----------
@@ -180,8 +180,8 @@ class Problem(eqx.Module):
         Heights at y = 0, micrometres.
     colour, white
         Half-plane responses.
-    weight, scale
-        Strength of the prior, and the unit of y.
+    weight
+        Strength of the prior.
     """
 
     surface: methods.Surface
@@ -195,13 +195,12 @@ class Problem(eqx.Module):
     colour: Float[Array, "ny half"]
     white: Float[Array, "ny half"]
     weight: Float[Array, ""]
-    scale: Float[Array, ""]
     settings: DirectSettings | SeparableSettings = eqx.field(static=True)
     gain: Gain = eqx.field(static=True)
 
     def heights(self, y: Float[Array, "ny nx"]) -> Float[Array, "ny nx"]:
         """Micrometres, at unknowns y."""
-        return self.base + filtered(y.astype(self.base.dtype) / self.scale, self.colour)
+        return self.base + filtered(y.astype(self.base.dtype), self.colour)
 
     def residuals(
         self, heights: Float[Array, "ny nx"]
@@ -232,22 +231,21 @@ class Problem(eqx.Module):
         """The loss, and with it the sum of squared residuals and the gain."""
         chi2, gain = self.misfit(y)
         wide = chi2.dtype
-        rough = filtered(y.astype(wide) / self.scale.astype(wide), self.white.astype(wide))
+        rough = filtered(y.astype(wide), self.colour.astype(wide) * self.white.astype(wide))
         return 0.5 * (chi2 + self.weight.astype(wide) * jnp.sum(rough**2)), (chi2, gain)
 
-    def curvature(self, y: Float[Array, "ny nx"]) -> tuple[Array, Array]:
-        """Second derivative of misfit and of prior along the gradient (Gauss and Newton).
-
-        In unknowns of unit scale: the step that minimises a quadratic loss along the gradient
-        is the inverse of their sum, the prior's taken times its weight.
-        """
+    def curvature(
+        self, y: Float[Array, "ny nx"], way: Float[Array, "ny nx"] | None = None
+    ) -> Float[Array, ""]:
+        """Second derivative of the loss along a way, Gauss and Newton's; the gradient if None."""
         dtype = self.base.dtype
-        (_, _), gradient = jax.value_and_grad(self.loss, has_aux=True)(y)
-        way = gradient.astype(dtype)
+        if way is None:
+            way = jnp.asarray(jax.grad(lambda y: self.loss(y)[0])(y))
+        way = way.astype(dtype)
         way = way / jnp.linalg.norm(way)
         _, slope = jax.jvp(lambda y: self.residuals(self.heights(y))[0], (y.astype(dtype),), (way,))
-        rough = filtered(way / self.scale, self.white)
-        return jnp.sum(slope**2), jnp.sum(rough**2)
+        rough = filtered(way, self.colour * self.white)
+        return jnp.sum(slope**2) + self.weight * jnp.sum(rough**2)
 
 
 def problem(
@@ -260,22 +258,16 @@ def problem(
     root: np.ndarray,
     prior: Prior,
     gain: Gain,
-    precondition: bool,
 ) -> tuple[Problem, Float[Array, "ny nx"]]:
-    """The loss of a fit with weight 1, and the unknowns of its start.
+    """The loss of a fit with weight 0 over changes of height, and the change of its start.
 
     A smooth prior is one of the change from the start, a spectrum one of the heights about
     their mean. `inverse` is one over the noise, `root` from `prior_root`.
     """
     heights, dtype = start.heights, start.heights.dtype
     white = np.divide(1.0, root, out=np.zeros_like(root), where=root > 0)
-    on = (root > 0).astype(np.float64)
     base = heights if prior == "smooth" else jnp.full_like(heights, heights.mean())
-    colour, white = (root, on) if precondition else (on, white)
-    y = jnp.zeros(heights.shape, jnp.result_type(float))
-    if prior == "spectrum":
-        back = np.divide(1.0, colour, out=np.zeros_like(colour), where=colour > 0)
-        y = filtered((heights - base).astype(y.dtype), jnp.asarray(back, y.dtype))
+    wide = jnp.result_type(float)
     lam = measured.wavelengths
     made = Problem(
         surface=brdf.surface,
@@ -286,14 +278,28 @@ def problem(
         values=measured.values,
         inverse=jnp.asarray(inverse, dtype),
         base=base,
-        colour=jnp.asarray(colour, dtype),
+        colour=jnp.asarray(root > 0, dtype),
         white=jnp.asarray(white, dtype),
-        weight=jnp.ones((), dtype),
-        scale=jnp.ones((), dtype),
+        weight=jnp.zeros((), dtype),
         settings=settings,
         gain=gain,
     )
-    return made, y
+    return made, (heights - base).astype(wide)
+
+
+def weighted(
+    made: Problem, change: Float[Array, "ny nx"], weight: Float[Array, ""], data: Float[Array, ""]
+) -> tuple[Problem, Float[Array, "ny nx"]]:
+    """The problem at a weight, in unknowns in which its curvature is about one, and these.
+
+    By the curvature of the prior and the mean one of the data, `data`, at every frequency: a
+    prior alone would be white in unknowns in which the data are not.
+    """
+    curvature = data + weight * made.white**2
+    colour = jnp.where(made.white > 0.0, 1.0 / jnp.sqrt(curvature), 0.0)
+    back = jnp.where(made.white > 0.0, jnp.sqrt(curvature), 0.0)
+    made = eqx.tree_at(lambda p: (p.colour, p.weight), made, (colour, weight))
+    return made, filtered(change, back.astype(change.dtype))
 
 
 def _before(measured: Measured, brdf: DiffractionBRDF) -> Float[Array, "M L"]:

@@ -9,7 +9,13 @@ import diffopt as do
 from diffopt.errors import InputError
 from diffopt.fitting import Measured, freeform_priors
 from diffopt.fitting.freeform import fit_heights, nearest_equal
-from diffopt.fitting.freeform_priors import filtered, forward_settings, prior_root, problem
+from diffopt.fitting.freeform_priors import (
+    filtered,
+    forward_settings,
+    prior_root,
+    problem,
+    weighted,
+)
 from diffopt.settings import DirectSettings, SeparableSettings
 
 PIXEL, LENGTH, RMS = 0.1, 0.5, 0.05
@@ -104,7 +110,7 @@ def made_problem(data, start, prior="smooth", average="positions", settings=None
         inverse=np.asarray(1.0 / data.noise),
         root=prior_root(start, float(lam.min()), prior, None),
         prior=prior,
-        **{"gain": "known", "precondition": True, **options},
+        **{"gain": "known", **options},
     )
 
 
@@ -155,7 +161,11 @@ class TestRecovery:
     def test_one_window_recovers_what_it_sees(self):
         start = surface(TRUTH + field(1, 0.02))
         fit = fit_heights(
-            measured(average="window", sigma=0.6), start, average="window", prior="spectrum"
+            measured(average="window", sigma=0.6),
+            start,
+            average="window",
+            prior="spectrum",
+            max_steps=200,
         )
         x = (np.arange(32) - 16) * PIXEL
         seen = np.hypot(x[:, None], x[None, :]) < 0.6
@@ -164,12 +174,22 @@ class TestRecovery:
         assert np.std(off) < 0.25 * np.std((np.asarray(start.heights) - TRUTH)[seen])
 
     def test_preconditioning_saves_steps(self, data):
-        options = {"weight": 50.0, "max_steps": 60, "tolerance": 1e-9}
+        options = {"weight": 1000.0, "max_steps": 60, "tolerance": 1e-9}
         white = fit_heights(data, surface(START), **options)
         plain = fit_heights(data, surface(START), precondition=False, **options)
         # The same loss in other unknowns, so that the starts agree but for rounding.
         assert plain.history[0] == pytest.approx(white.history[0], rel=1e-9)
-        assert white.loss < 0.5 * plain.loss
+        # 20 steps against 170 to within 1 % of the minimum on a larger patch.
+        assert white.history[4] < 1.01 * white.loss
+        assert plain.loss > 1.05 * white.loss
+
+    def test_unknowns_stand_for_the_same_heights(self, data):
+        made, change = made_problem(data, surface(START), "spectrum")
+        scaled, y = weighted(made, change, jnp.asarray(2.0), jnp.asarray(1e5))
+        np.testing.assert_allclose(scaled.heights(y), START, atol=1e-12)
+        rough = filtered(change, made.white)
+        expected = 0.5 * (made.misfit(change)[0] + 2.0 * jnp.sum(rough**2))
+        assert float(scaled.loss(y)[0]) == pytest.approx(float(expected), rel=1e-9)
 
 
 class TestLoss:
@@ -193,7 +213,8 @@ class TestLoss:
         start = surface(field(0, RMS, n=12))
         wi, wo = pairs(4)
         data = measured(field(2, RMS, n=12), wi=wi, wo=wo, sigma=0.4, average=average)
-        made, y = made_problem(data, start, prior, average, settings, gain=gain)
+        made, change = made_problem(data, start, prior, average, settings, gain=gain)
+        made, y = weighted(made, change, jnp.asarray(3.0), jnp.asarray(1e5))
         way = jnp.asarray(np.random.default_rng(1).normal(size=y.shape))
         loss = jax.jit(lambda y: made.loss(y)[0])
         slope = float(jnp.vdot(jax.jit(jax.grad(loss))(y), way))
@@ -291,7 +312,7 @@ class TestErrors:
         wi, wo = pairs(8)
         data = measured(field(0, RMS, n=8), wi=wi, wo=wo, sigma=0.4)
         made, _ = made_problem(data, start)
-        root, weight = made.colour, jnp.asarray(2.0)
+        root, weight = jnp.asarray(prior_root(start, 0.45, "smooth", None)), jnp.asarray(2.0)
         key = jax.random.key(1)
 
         def along(z):
