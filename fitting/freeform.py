@@ -165,7 +165,8 @@ def _prepare(made, change, weight, data, *, precondition):
         made, y = weighted(made, change, weight, data)
     else:
         made, y = eqx.tree_at(lambda p: p.weight, made, weight), change
-    scale = jnp.sqrt(made.curvature(y))
+    curvature = made.curvature(y)
+    scale = jnp.sqrt(jnp.where(curvature > 0.0, curvature, 1.0))
     made = eqx.tree_at(lambda p: p.colour, made, made.colour / scale)
     y = y * scale.astype(y.dtype)
     return made, y, made.loss(y)
@@ -189,6 +190,32 @@ def fit_heights(
     progress: Callable[[int, float], None] | None = None,
 ) -> HeightsFit:
     """Fit every height of a periodic patch to measured reflectance.
+
+    **What the data cannot tell**, and what is taken: the mean height (that of the start); for
+    ``average="positions"`` a translation (whole pixels are undone, so that the sum of squared
+    differences from the start is smallest; a fraction of a pixel stays); the twin -h(-x, -y),
+    about the middle of the window if there is one (the nearer to the start is returned). A
+    free gain adds nothing to these. Under one window, heights beyond its reach are the prior's.
+    Averaged over positions, spectra are blurred by the window: a patch of many sigma_s has more
+    heights than any number of directions holds (a patch of 512 x 512 pixels, 26 sigma_s wide,
+    from 1,800 values: chi^2 below 1, heights no better than those of the start).
+
+    **From how far it recovers**: intensities have many minima. For rough patches of 48 x 48
+    pixels of 0.1 um, four sigma_s wide, 60 nm rms, correlated over 0.5 um, 750 directions x
+    (0.45, 0.55, 0.65) um, 2 % noise, the default came back to 0.7 to 1.0 nm from all 18 starts
+    off by 30, 60 and 75 nm rms (over 0.8 um), from 5 of 6 off by 90 nm and 2 of 6 by 120 nm;
+    from 6 of 6 scans blurred by a Gaussian of 0.3 um, from none blurred by 0.5 um. With the
+    noise known no wrong surface among them was called converged. Surfaces of 120 nm rms: 24 of
+    24 starts off by up to 90 nm, 2 of 6 by 120 nm. So starts must be within about an eighth of a
+    wavelength, whatever the depth; stages of long wavelengths first did not widen that in a
+    trial of 12 fits.
+
+    **Cost**: about four products of `methods.separable_pairs` a step; nothing of the size of
+    heights x directions is kept. 512 x 512 heights in float32: 450 directions x 4 wavelengths
+    peak at 0.74 GB resident, 0.26 GB of it before the fit (the compiled block holds 16 MB of
+    temporaries beside 46 MB of state), 0.57 GB with ``cg``, 0.88 GB in float64; 1,500
+    directions x 6 wavelengths at 0.75 GB. A block of 10 steps took 6 s and 40 to 75 s on two
+    shared cores.
 
     Parameters
     ----------
@@ -222,7 +249,9 @@ def fit_heights(
         Solve in unknowns in which the curvatures of data and prior together are about one at
         every frequency; False, for comparison, in heights.
     error_rank
-        Directions of the unknowns that `error_map` follows; 0 leaves it out.
+        Directions of the unknowns that `error_map` follows (Laplace's approximation with the
+        prior at the weight used, translations held; too few make it too large); 0 leaves it
+        out. It means what it says only if prior and noise do.
     progress
         Called with (steps, loss) after each block. A KeyboardInterrupt from it, or between
         blocks, returns the best heights so far, marked as such.
@@ -230,8 +259,8 @@ def fit_heights(
     Raises
     ------
     InputError
-        If an argument is out of range, heights are missing, the coherence window does not suit
-        the patch, or the pixel is too coarse for the directions.
+        If an argument is out of range, heights are missing or flat, the coherence window does
+        not suit the patch, or the pixel is too coarse for the directions.
     """
     window: Average = checks.choice("average", average, get_args(Average))
     chosen: Prior = checks.choice("prior", prior, get_args(Prior))
@@ -508,6 +537,11 @@ def _inverse_noise(measured: Measured) -> np.ndarray:
 
 def _check(measured, start, weight, max_steps, error_rank):
     start.require_complete()
+    if not float(jnp.ptp(start.heights)) > 0.0:
+        raise InputError(
+            "start must not be flat, where no intensity changes with a height to first order; "
+            f"received {start.shape} equal heights"
+        )
     if weight is not None and not 0.0 < weight < math.inf:
         raise InputError(f"weight must be positive, or None to have it chosen; received {weight}")
     if max_steps < 1:

@@ -136,7 +136,7 @@ def prior_root(
     Raises
     ------
     InputError
-        If a spectrum is to be that of a flat start, or roughness is not two positive lengths.
+        If roughness is not two positive lengths, or given for another prior.
     """
     if prior == "smooth":
         if roughness is not None:
@@ -150,13 +150,7 @@ def prior_root(
                 f"roughness must be (rms, length), positive, in micrometres; received {roughness}"
             )
         return gaussian_root(start.shape, start.pixel, float(roughness[0]), float(roughness[1]))
-    heights = np.asarray(start.heights)
-    if not np.ptp(heights) > 0.0:
-        raise InputError(
-            "prior='spectrum' takes the spectrum of the start; received a flat start: give "
-            "roughness=(rms, length)"
-        )
-    return start_root(heights)
+    return start_root(np.asarray(start.heights))
 
 
 class Problem(eqx.Module):
@@ -241,10 +235,11 @@ class Problem(eqx.Module):
         dtype = self.base.dtype
         if way is None:
             way = jnp.asarray(jax.grad(lambda y: self.loss(y)[0])(y))
-        way = way.astype(dtype)
-        way = way / jnp.linalg.norm(way)
-        _, slope = jax.jvp(lambda y: self.residuals(self.heights(y))[0], (y.astype(dtype),), (way,))
-        rough = filtered(way, self.colour * self.white)
+        size = jnp.linalg.norm(way.astype(dtype))
+        unit = way.astype(dtype) / jnp.where(size > 0.0, size, 1.0)
+        y = y.astype(dtype)
+        _, slope = jax.jvp(lambda y: self.residuals(self.heights(y))[0], (y,), (unit,))
+        rough = filtered(unit, self.colour * self.white)
         return jnp.sum(slope**2) + self.weight * jnp.sum(rough**2)
 
 
