@@ -401,15 +401,27 @@ class TestRunning:
         assert at[-1] == at[0]
         assert fit.steps > 50
 
-    def test_deeper_heights_get_more_nodes(self):
+    def test_deeper_heights_get_more_nodes(self, monkeypatch):
         """A flat start allows for a quarter wavelength; the surface is deeper."""
+        nodes, whole = [], freeform_priors.Problem.residuals
+
+        def seen(self, heights):
+            nodes.append(self.settings.nodes)
+            return whole(self, heights)
+
+        monkeypatch.setattr(freeform_priors.Problem, "residuals", seen)
         truth = TRUTH * 0.9
-        data = measured(truth)
+        # A number of directions of its own, so that programs are traced here.
+        data = measured(truth).part(slice(0, -2))
+        wi, wo = WI[:-2], WO[:-2]
         fit = fit_heights(data, surface(0.02 * truth), weight=5.0, max_steps=300)
         span = float(jnp.ptp(fit.heightfield.heights))
         assert span > 0.3 * WAVELENGTHS.min()
-        # Too few nodes would make the misfit that the fit states another than the direct sum's.
-        direct = do.DiffractionBRDF(fit.heightfield, SIGMA)(WI, WO, WAVELENGTHS)
+        wanted = forward_settings(
+            do.DiffractionBRDF(fit.heightfield, SIGMA).surface, -(wi + wo), WAVELENGTHS, 1e-6
+        )
+        assert nodes[0] < wanted.nodes <= nodes[-1]
+        direct = do.DiffractionBRDF(fit.heightfield, SIGMA)(wi, wo, WAVELENGTHS)
         chi2 = float(jnp.mean(((direct - data.values) / data.noise) ** 2))
         assert fit.misfit["chi2"] == pytest.approx(chi2, rel=1e-3)
 
