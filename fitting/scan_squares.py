@@ -18,6 +18,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
+from diffopt.fitting.scan_disc import Pits
 from diffopt.fitting.scan_register import Scan
 from diffopt.fitting.solvers import NormalLevenbergMarquardt
 from diffopt.gratings import Crossed, Grating, Surface
@@ -72,7 +73,7 @@ def decoded(
 def natural(u: np.ndarray, surface: Surface, names: tuple[str, ...], scale: float) -> np.ndarray:
     """Derivatives of the parameters to their encoded numbers."""
     found, out = kinds(surface), []
-    for k, name in enumerate(names):
+    for name in names:
         value = float(surface.get(name))
         kind = found[name]
         if kind == "share":
@@ -92,9 +93,11 @@ def field(
     pixel: tuple[float, float],
     edges: str,
 ) -> Float[Array, "ny nx"]:
-    """Heights at rows and columns, of gratings and two of them crossed."""
+    """Heights at rows and columns, of a grating, two of them crossed, or pits."""
     if isinstance(surface, Crossed):
         return field(surface.first, y, x, pixel, edges) + field(surface.second, y, x, pixel, edges)
+    if isinstance(surface, Pits):
+        return surface.at(y, x, pixel)
     assert isinstance(surface, Grating)
     across = jnp.cos(surface.angle) * x[None, :] + jnp.sin(surface.angle) * y[:, None]
     return surface.at(across, pixel, edges)
@@ -196,7 +199,7 @@ def _squares(
     found = optx.least_squares(
         function, solver, u, pixels, has_aux=True, max_steps=steps, throw=False
     )
-    value, jacobian = function(found.value, pixels)
+    _, jacobian = function(found.value, pixels)
     matrix = jnp.matmul(jacobian, jacobian.T, precision="highest")
     fitted = field(
         decoded(found.value, surface, names, pixels.scale), pixels.y, pixels.x, pixel, edges
@@ -320,7 +323,8 @@ def fit(
             lam = _precision(rest + lines[:, None], weight, spread)
     else:
         settled = True
-    assert pixels is not None and fitted is not None
+    assert pixels is not None
+    assert fitted is not None
     rest, lines, plane = (np.asarray(part, float) for part in _rest(fitted, pixels))
     half = np.array([1.0, np.abs(scan.y).max(), np.abs(scan.x).max()])
     return Squares(

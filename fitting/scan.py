@@ -1,0 +1,277 @@
+"""Fit of parametric surfaces to a scan, and which of them describes it best.
+
+Steps: wave vectors from the power spectrum, starts from the scan folded over a period
+(`scan_register`), least squares with plane and line offsets projected out (`scan_squares`) or,
+for random surfaces, likelihood of the spectrum (`scan_noise`), and comparison of all on the
+likelihood of what is left.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from diffopt import checks
+from diffopt.errors import InputError
+from diffopt.fitting import scan_candidates, scan_noise, scan_register
+from diffopt.fitting.scan_candidates import Candidate
+from diffopt.fitting.scan_candidates import Setting as _Setting
+from diffopt.gratings import Surface
+from diffopt.heightfield import Heightfield
+
+Progress = Callable[[str, int, int], None]
+
+# A difference of the criterion that counts as very strong evidence (Kass and Raftery 1995).
+_STRONG = 10.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Ranked:
+    """A row of the ranking.
+
+    Attributes
+    ----------
+    name
+        Of the model.
+    criterion
+        Bayesian information criterion: smaller is better.
+    difference
+        To the best of the ranking.
+    parameters
+        That count, those of the noise and of a disc's own pits included.
+    rms
+        Of the residual, micrometres; for random surfaces of the noise beside them.
+    converged, reason
+        Whether it can be used, and a sentence.
+    """
+
+    name: str
+    criterion: float
+    difference: float
+    parameters: int
+    rms: float
+    converged: bool
+    reason: str
+
+
+class ScanFit(eqx.Module):
+    """Result of `fit_scan`; lengths in micrometres.
+
+    Attributes
+    ----------
+    model
+        Surface with fitted parameters, see `scan_convention` for which of several sets.
+    names, covariance
+        Parameters and their covariance [P, P]; NaN for those that the scan does not tell.
+    errors
+        Standard error of each.
+    tilt
+        Slopes (along y, along x) of the plane, without unit.
+    lines
+        [ny], offset of each scan line.
+    residual
+        [ny, nx], scan less model, plane and offsets; NaN where the scan has none. The model is
+        random: scan less plane.
+    noise
+        ``white``, ``correlated``, ``lines``: rms; ``length`` of the correlation
+        exp(-(r / length)^(2 hurst)); ``hurst``.
+    ranking
+        All models, best first.
+    converged, reason
+        Whether the answer can be used, and a full sentence.
+    identifiable
+        ``"determined"``, or a sentence that says why not, for each parameter.
+    goodness
+        Share of the variance about plane and lines that the model explains; for random
+        models all but the noise.
+    """
+
+    model: Surface
+    names: tuple[str, ...] = eqx.field(static=True)
+    covariance: Float[np.ndarray, "P P"]
+    tilt: tuple[float, float]
+    lines: Float[np.ndarray, " ny"]
+    residual: Float[Array, "ny nx"]
+    noise: dict[str, float]
+    ranking: tuple[Ranked, ...] = eqx.field(static=True)
+    converged: bool
+    reason: str = eqx.field(static=True)
+    identifiable: dict[str, str] = eqx.field(static=True)
+    goodness: float
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """Standard error of each parameter, in its unit."""
+        found = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return dict(zip(self.names, map(float, found), strict=True))
+
+
+def fit_scan(
+    scan: Heightfield,
+    model: Any = "auto",
+    *,
+    drift: bool = True,
+    robust: bool = True,
+    edges: str = "averaged",
+    max_steps: int = 200,
+    progress: Progress | None = None,
+) -> ScanFit:
+    """Fit a parametric surface to a scan, or the best of several.
+
+    Tilt and the offsets of scan lines are fitted beside the surface; missing pixels (NaN) have
+    no weight. Models are ranked by a Bayesian information criterion, -2 log L + P log n: L is
+    the debiased Whittle likelihood of the heights that a model leaves as random, under white
+    noise, correlated noise and line offsets fitted for each (`scan_noise`), on pixels averaged
+    to 192 on a side at most; n counts the independent numbers in it. Standard errors allow for
+    the correlation of the noise. A skewness that Gaussian roughness does not have speaks for
+    bumps.
+
+    Parameters
+    ----------
+    scan
+        At least 16 x 16 pixels, 30 % of them known.
+    model
+        ``"auto"``; the name or class of a surface of `diffopt.gratings`; an instance, which
+        is the start; or a sequence of these. ``"auto"`` is sinusoidal, binary, blazed,
+        trapezoid, crossed, ridges, compactdisc, roughness and bumps. For ridges of another
+        profile than a sinusoid pass an instance.
+    drift
+        Whether scan lines (rows) have offsets of their own.
+    robust
+        Whether outliers lose weight (Cauchy's).
+    edges
+        Of the samples, see `diffopt.gratings.Grating.heights`; with ``"sharp"`` the derivatives
+        of jumps are missing.
+    max_steps
+        Trial steps of one model.
+    progress
+        Called with (name, number, count) before each model. A KeyboardInterrupt, from it or
+        the keyboard, ends the comparison: the best so far is returned.
+
+    Raises
+    ------
+    InputError
+        If the scan is too small, flat or empty, or a model is not known or cannot be fitted
+        to one scan.
+    """
+    if not isinstance(scan, Heightfield):
+        raise InputError(f"scan: expected a Heightfield, received {type(scan).__name__}")
+    checks.choice("edges", edges, ("averaged", "sharp"))
+    if max_steps < 1:
+        raise InputError(f"max_steps: expected at least 1, received {max_steps}")
+    dtype = scan.heights.dtype
+    wanted = scan_candidates.wanted(model)
+    ready = scan_register.prepared(np.asarray(scan.heights), scan.pixel)
+    factor = -(-max(ready.heights.shape) // scan_noise.MOST)
+    setting = _Setting(
+        scan=ready,
+        coarse=ready.binned(factor),
+        factor=factor,
+        vectors=scan_register.wave_vectors(ready),
+        drift=drift,
+        robust=robust,
+        edges=edges,
+        max_steps=max_steps,
+        dtype=dtype,
+    )
+    found: list[Candidate] = []
+    stopped = False
+    try:
+        for k, (name, start) in enumerate(wanted):
+            if progress is not None:
+                progress(name, k, len(wanted))
+            found.append(scan_candidates.run(name, start, setting, found))
+    except KeyboardInterrupt:
+        stopped = True
+    asked = [c for c in found if c.model is not None]
+    if not asked:
+        if stopped:
+            raise KeyboardInterrupt
+        raise InputError(f"scan: no model could be fitted: {found[0].reason}")
+    return _result(found, asked, setting, scan, stopped, len(wanted))
+
+
+def _result(
+    found: list[Candidate],
+    asked: list[Candidate],
+    setting: _Setting,
+    scan: Heightfield,
+    stopped: bool,
+    count: int,
+) -> ScanFit:
+    best = min(asked, key=lambda c: (not c.converged, c.criterion))
+    converged, reason = best.converged, best.reason
+    if best.deterministic:
+        rough = next((c for c in found if c.name == "roughness"), None)
+        if rough is None:
+            rough = scan_candidates.run("roughness", None, setting, found)
+            found = [*found, rough]
+        none = scan_candidates.noise_alone(setting)
+        gain = min(rough.criterion, none) - best.criterion
+        if gain < _STRONG:
+            converged = False
+            reason = (
+                f"The scan does not support {best.title}: the criterion of isotropic roughness is "
+                f"{abs(gain):.1f} {'lower' if gain < 0 else 'higher'}, and a grating would have "
+                f"to lead by {_STRONG:g}."
+            )
+    if stopped:
+        converged = False
+        reason = f"Interrupted after {len(asked)} of {count} models; this is the best of them."
+    lowest = min(c.criterion for c in found)
+    order = sorted(found, key=lambda c: c.criterion)
+    ranking = tuple(
+        Ranked(
+            c.name, c.criterion, c.criterion - lowest, c.parameters, c.rms, c.converged, c.reason
+        )
+        for c in order
+    )
+    assert best.model is not None
+    residual = np.where(setting.scan.missing, np.nan, best.residual)
+    return ScanFit(
+        model=best.model,
+        names=best.names,
+        covariance=best.covariance,
+        tilt=best.tilt,
+        lines=best.lines,
+        residual=jnp.asarray(residual, scan.heights.dtype),
+        noise=best.noise,
+        ranking=ranking,
+        converged=converged,
+        reason=reason,
+        identifiable=identifiable(best),
+        goodness=best.goodness,
+    )
+
+
+def identifiable(found: Candidate) -> dict[str, str]:
+    """For each parameter whether the scan determines it, and if not, why."""
+    from diffopt.gratings.base import kinds
+
+    assert found.model is not None
+    kind, out = kinds(found.model), {}
+    variances = np.diag(found.covariance)
+    for name, variance in zip(found.names, variances, strict=True):
+        value = float(found.model.get(name))
+        error = math.sqrt(variance) if variance >= 0 else math.nan
+        # Half of what a uniform draw over the range would leave, or half the value.
+        limit = {"share": 0.15, "turns": 0.15, "angle": 0.45, "phase": 0.9}.get(
+            kind[name], 0.5 * abs(value)
+        )
+        last = name.split(".")[-1]
+        if math.isfinite(error) and 0 < error < limit:
+            out[name] = "determined"
+        elif not math.isfinite(error) and last in ("phase", "shift") and not found.deterministic:
+            out[name] = "The positions of random ridges do not repeat, so that no phase is defined."
+        elif error == 0.0 or not math.isfinite(error):
+            out[name] = (
+                f"The heights do not change with {name} near {value:.4g}, or it is at a bound."
+            )
+        else:
+            out[name] = f"The standard error {error:.3g} is large against the value {value:.4g}."
+    return out

@@ -1,0 +1,463 @@
+"""The models that compete for a scan: each is started, fitted and scored in its own way."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from diffopt import gratings
+from diffopt.errors import InputError
+from diffopt.fitting import scan_disc, scan_noise, scan_register, scan_squares
+from diffopt.fitting.scan_convention import canonical, transformed
+from diffopt.fitting.scan_noise import Field
+from diffopt.fitting.scan_register import Scan
+from diffopt.gratings import (
+    Binary,
+    Blazed,
+    Bumps,
+    CompactDisc,
+    Crossed,
+    Grating,
+    Ridges,
+    Roughness,
+    Sinusoidal,
+    Surface,
+    Trapezoid,
+)
+
+MODELS: dict[str, type[Surface]] = {
+    kind.__name__.lower(): kind
+    for kind in (
+        Sinusoidal, Binary, Blazed, Trapezoid, Crossed, Ridges, CompactDisc, Roughness, Bumps
+    )
+}  # fmt: skip
+# A second start is tried if it explains this share of what the first does.
+_RIVAL = 0.7
+# The most that skewness may speak for bumps, twice a log likelihood: other things skew too.
+_SKEW = 100.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Setting:
+    """What all candidates share."""
+
+    scan: Scan
+    coarse: Scan
+    factor: int
+    vectors: list[tuple[float, float]]
+    drift: bool
+    robust: bool
+    edges: str
+    max_steps: int
+    dtype: Any
+    shared: dict[str, Field] = dataclasses.field(default_factory=dict)
+
+
+@dataclasses.dataclass(frozen=True)
+class Candidate:
+    """A fitted model; `ScanFit` says what the parts are. Without a model: why there is none."""
+
+    name: str
+    reason: str
+    converged: bool = False
+    model: Surface | None = None
+    names: tuple[str, ...] = ()
+    covariance: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
+    tilt: tuple[float, float] = (0.0, 0.0)
+    lines: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0))
+    residual: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
+    noise: dict[str, float] = dataclasses.field(default_factory=dict)
+    criterion: float = math.inf
+    parameters: int = 0
+    rms: float = math.nan
+    goodness: float = 0.0
+    deterministic: bool = True
+
+    @property
+    def title(self) -> str:
+        """In words."""
+        return {"crossed": "two crossed gratings", "compactdisc": "the tracks of a disc"}.get(
+            self.name, f"a {self.name} grating"
+        )
+
+
+def wanted(model: Any) -> list[tuple[str, Surface | None]]:
+    """Names and starts of what is to be fitted.
+
+    Raises
+    ------
+    InputError
+        If a model is not known or says nothing about one scan.
+    """
+    if isinstance(model, str) and model == "auto":
+        return [(name, None) for name in MODELS]
+    if isinstance(model, Sequence) and not isinstance(model, str):
+        if not model:
+            raise InputError("model: expected at least one, received an empty sequence")
+        return [one for part in model for one in wanted(part)]
+    known = ", ".join(MODELS)
+    if isinstance(model, str):
+        if model not in MODELS:
+            raise InputError(f"model={model!r}: expected 'auto' or one of {known}")
+        return [(model, None)]
+    kind, start = (model, None) if isinstance(model, type) else (type(model), model)
+    name = kind.__name__.lower()
+    if isinstance(kind, type) and issubclass(kind, gratings.Jittered):
+        raise InputError(
+            "model: one scan shows one domain of a jittered grating; fit its grating, or ridges"
+        )
+    if MODELS.get(name) is not kind:
+        raise InputError(f"model={kind.__name__}: expected one of {known}")
+    return [(name, start)]
+
+
+def run(name: str, start: Surface | None, setting: Setting, before: list[Candidate]) -> Candidate:
+    """Fit one model.
+
+    Parameters
+    ----------
+    name, start
+        Of `wanted`.
+    setting
+        The scan and how to fit.
+    before
+        Candidates that are done; a crossed grating starts from the best grating.
+    """
+    kind = MODELS[name]
+    if name == "roughness":
+        return _roughness(start, setting)
+    if name == "bumps":
+        return _bumps(setting)
+    if not setting.vectors and start is None:
+        return Candidate(name, "The power spectrum has no peak to start from.")
+    if name == "ridges":
+        return _ridges(start, setting)
+    if name == "compactdisc":
+        return _disc(setting)
+    if name == "crossed":
+        return _crossed(start, setting, before)
+    assert issubclass(kind, Grating)
+    starts = [start] if start is not None else _starts(kind, setting)
+    return _scored(name, _best(starts, setting), setting)
+
+
+def noise_alone(setting: Setting) -> float:
+    """Criterion of noise without any surface."""
+    if "none" not in setting.shared:
+        setting.shared["none"] = _field(setting.coarse.flat, None, setting)
+    found = setting.shared["none"]
+    return found.deviance + scan_noise.NOISE * math.log(found.count)
+
+
+def _field(
+    rest: np.ndarray, surface: Surface | None, setting: Setting, starts: Any = None
+) -> Field:
+    return scan_noise.fit(
+        rest,
+        setting.coarse,
+        surface,
+        drift=setting.drift,
+        dtype=setting.dtype,
+        starts=starts,
+        max_steps=min(setting.max_steps, 80),
+    )
+
+
+def _starts(kind: type[Grating], setting: Setting) -> list[Surface]:
+    found = []
+    for vector in setting.vectors:
+        profile = scan_register.folded(setting.scan, vector)
+        values, gain = scan_register.start(kind, profile, vector)
+        found.append((gain, kind(**values)))
+    found.sort(key=lambda pair: -pair[0])
+    return [s for gain, s in found[:2] if gain >= _RIVAL * found[0][0]]
+
+
+def _squares(
+    scan: Scan, start: Surface, setting: Setting, steps: int, precision: float | None = None
+) -> scan_squares.Squares:
+    return scan_squares.fit(
+        scan,
+        start,
+        drift=setting.drift,
+        robust=setting.robust,
+        edges=setting.edges,
+        max_steps=steps,
+        dtype=setting.dtype,
+        precision=precision,
+    )
+
+
+def _best(starts: list[Surface], setting: Setting) -> scan_squares.Squares:
+    """Fit from each start to averaged pixels, and from the best end to all."""
+    found = [_squares(setting.coarse, start, setting, setting.max_steps) for start in starts]
+    best = min(found, key=lambda f: float(np.abs(f.rest[setting.coarse.known]).mean()))
+    if setting.factor == 1 or not best.converged:
+        return best
+    return _squares(setting.scan, best.surface, setting, setting.max_steps)
+
+
+def _scored(
+    name: str, found: scan_squares.Squares, setting: Setting, nuisances: int = 0
+) -> Candidate:
+    """Noise of what is left, criterion and standard errors of a fit by least squares."""
+    scan, dtype = setting.scan, setting.dtype
+    y, x = jnp.asarray(scan.y, dtype), jnp.asarray(scan.x, dtype)
+    heights = np.asarray(
+        scan_squares.field(found.surface, y, x, scan.pixel, setting.edges), np.float64
+    )
+    left = scan_register.filled(scan.heights - heights, scan.known)
+    rest = dataclasses.replace(scan, heights=left).binned(setting.factor)
+    field = _field(rest.flat, None, setting)
+    plane = found.plane[0] + found.plane[1] * scan.y[:, None] + found.plane[2] * scan.x[None, :]
+    residual = scan.heights - heights - plane
+    whole = residual + heights
+    if found.lines.shape == scan.y.shape:
+        residual, whole = residual - found.lines[:, None], whole - found.lines[:, None]
+        lines, at = found.lines, found
+    else:
+        lines = np.repeat(found.lines, setting.factor)
+        lines = np.concatenate([lines, np.full(len(scan.y) - len(lines), lines[-1])])
+        residual, whole, at = residual - lines[:, None], whole - lines[:, None], None
+    grid = scan if at is not None else setting.coarse
+    # Averages over blocks have less white noise; pixels that are filled have none.
+    scatter = field.noise["white"] ** 2 / max(float(setting.coarse.known.mean()), 0.1)
+    white = scatter * (setting.factor**2 if at is not None else 1)
+    encoded = scan_squares.covariance(
+        found, grid, setting.edges, scan_noise.lags(field, grid), white, dtype
+    )
+    factor = scan_squares.natural(found.u, found.surface, found.names, scan.scale)
+    covariance = encoded * np.outer(factor, factor)
+    model, covariance = _conventional(found, covariance)
+    model = _with_offset(model, float(found.plane[0]))
+    known = scan.known
+    explained = 1.0 - float(residual[known].var() / max(whole[known].var(), 1e-300))
+    count = len(found.names) + nuisances + scan_noise.NOISE
+    converged = found.converged and field.converged
+    if not found.converged:
+        reason = f"Least squares did not come to an end in {setting.max_steps} steps."
+    elif not field.converged:
+        reason = "The likelihood of the noise did not reach its maximum, so errors are not known."
+    else:
+        reason = f"Least squares came to an end after {found.steps} steps."
+    return Candidate(
+        name=name,
+        reason=reason,
+        converged=converged,
+        model=model,
+        names=found.names,
+        covariance=covariance,
+        tilt=(float(found.plane[1]), float(found.plane[2])),
+        lines=lines,
+        residual=residual,
+        noise=field.noise,
+        criterion=field.deviance + count * math.log(field.count),
+        parameters=count,
+        rms=float(residual[known].std()),
+        goodness=explained,
+    )
+
+
+def _conventional(
+    found: scan_squares.Squares, covariance: np.ndarray
+) -> tuple[Surface, np.ndarray]:
+    surface = found.surface
+    if not isinstance(surface, Crossed):
+        values, change = canonical(surface)
+        return surface.replaced(values), transformed(covariance, found.names, change)
+    all_values, all_change = {}, {}
+    for part in ("first", "second"):
+        values, change = canonical(getattr(surface, part))
+        all_values |= {f"{part}.{name}": value for name, value in values.items()}
+        all_change |= {
+            f"{part}.{name}": {f"{part}.{other}": slope for other, slope in row.items()}
+            for name, row in change.items()
+        }
+    return surface.replaced(all_values), transformed(covariance, found.names, all_change)
+
+
+def _with_offset(model: Surface, constant: float) -> Surface:
+    if isinstance(model, Crossed):
+        both = float(model.get("first.offset")) + float(model.get("second.offset")) + constant
+        return model.replaced({"first.offset": both, "second.offset": 0.0})
+    if "offset" not in model.PARAMETERS:
+        return model
+    return model.replaced({"offset": float(model.get("offset")) + constant})
+
+
+def _crossed(start: Surface | None, setting: Setting, before: list[Candidate]) -> Candidate:
+    """The best grating, and what suits best of what it leaves."""
+    if start is not None:
+        return _scored("crossed", _best([start], setting), setting)
+    done = [c for c in before if isinstance(c.model, Grating)]
+    if not done:
+        done = [run("sinusoidal", None, setting, before)]
+    first = min(done, key=lambda c: c.criterion)
+    if not isinstance(first.model, Grating):
+        return Candidate("crossed", "No first grating was found.")
+    rest = dataclasses.replace(setting.scan, heights=np.where(
+        setting.scan.known, first.residual, 0.0
+    ))  # fmt: skip
+    angle, found = float(first.model.angle), []
+    for vector in scan_register.wave_vectors(rest):
+        if abs(math.sin(math.atan2(vector[0], vector[1]) - angle)) < 0.05:
+            continue
+        profile = scan_register.folded(rest, vector)
+        for kind in (Sinusoidal, Binary, Blazed):
+            values, gain = scan_register.start(kind, profile, vector)
+            # A sinusoid unless another explains more.
+            found.append((gain * (1.02 if kind is Sinusoidal else 1.0), kind(**values)))
+    if not found:
+        return Candidate("crossed", "What a grating leaves has no peak in another direction.")
+    second = max(found, key=lambda pair: pair[0])[1]
+    return _scored("crossed", _best([Crossed(first.model, second)], setting), setting)
+
+
+def _random(name: str, model: Surface, field: Field, setting: Setting, count: int) -> Candidate:
+    scan = setting.scan
+    flat = scan.flat
+    plane = scan.heights - flat
+    half_y, half_x = scan.y[-1] - scan.y[0], scan.x[-1] - scan.x[0]
+    tilt = (
+        float((plane[-1, 0] - plane[0, 0]) / half_y),
+        float((plane[0, -1] - plane[0, 0]) / half_x),
+    )
+    noise = math.hypot(field.noise["white"], field.noise["correlated"])
+    total = flat.var()
+    reason = (
+        "The likelihood of the spectrum reached its maximum."
+        if field.converged
+        else "The likelihood of the spectrum did not reach its maximum."
+    )
+    return Candidate(
+        name=name,
+        reason=reason,
+        converged=field.converged,
+        model=model,
+        names=field.names,
+        covariance=field.covariance,
+        tilt=tilt,
+        lines=np.zeros(len(scan.y)),
+        residual=flat,
+        noise=field.noise,
+        criterion=field.deviance + (count + scan_noise.NOISE) * math.log(field.count),
+        parameters=count + scan_noise.NOISE,
+        rms=noise,
+        goodness=max(1.0 - noise**2 / total, 0.0),
+        deterministic=False,
+    )
+
+
+def _rough(start: Surface | None, setting: Setting) -> Field:
+    if start is not None or "rough" not in setting.shared:
+        coarse = setting.coarse
+        step = math.sqrt(coarse.pixel[0] * coarse.pixel[1])
+        starts: Any = [start] if start is not None else [
+            Roughness(0.9 * coarse.scale, factor * step) for factor in (3.0, 10.0)
+        ]  # fmt: skip
+        setting.shared["rough"] = _field(coarse.flat, starts[0], setting, starts)
+    return setting.shared["rough"]
+
+
+def _roughness(start: Surface | None, setting: Setting) -> Candidate:
+    field = _rough(start, setting)
+    assert field.surface is not None
+    return _random("roughness", field.surface, field, setting, 2)
+
+
+def _bumps(setting: Setting) -> Candidate:
+    """Bumps have the spectrum of roughness; their skewness tells number from height.
+
+    With size s and number lambda the covariance is lambda pi h^2 s^2 exp(-r^2 / 4 s^2) and the
+    skewness 2 / (3 sqrt(lambda pi s^2)) (Campbell's theorem: cumulants of shot noise).
+    """
+    field = _rough(None, setting)
+    assert field.surface is not None
+    rms, length = (float(field.surface.get(n)) for n in ("rms", "correlation_length"))
+    flat = setting.coarse.flat
+    known = setting.coarse.known
+    skew = float(((flat - flat[known].mean())[known] ** 3).mean()) / rms**3
+    (ny, nx), (dy, dx) = flat.shape, setting.coarse.pixel
+    lag_y, lag_x = (np.arange(-n + 1, n) for n in (ny, nx))
+    r2 = (lag_y[:, None] * dy) ** 2 + (lag_x[None, :] * dx) ** 2
+    overlap = (1.0 - np.abs(lag_y) / ny)[:, None] * (1.0 - np.abs(lag_x) / nx)[None, :]
+    # Of Gaussian fields: 6 / n^2 times the sum of cubed correlations.
+    variance = 6.0 * float((np.exp(-3.0 * r2 / length**2) * overlap).sum()) / flat.size
+    gain = min(skew**2 / variance, _SKEW)
+    if abs(skew) < 1e-3:
+        skew = math.copysign(1e-3, skew)
+    size = 0.5 * length
+    density = 4.0 / (9.0 * skew**2 * math.pi * size**2)
+    model = Bumps(*(jnp.asarray(v, setting.dtype) for v in (1.5 * skew * rms, size, density)))
+    # Height, size and density to rms, length and skewness.
+    slope = np.array(
+        [
+            [1.5 * skew, 0.0, 1.5 * rms],
+            [0.0, 0.5, 0.0],
+            [0.0, -2.0 * density / length, -2.0 * density / skew],
+        ]
+    )
+    inner = np.zeros((3, 3))
+    inner[:2, :2] = field.covariance
+    inner[2, 2] = variance
+    changed = dataclasses.replace(
+        field,
+        names=("height", "size", "density"),
+        covariance=slope @ inner @ slope.T,
+        deviance=field.deviance - gain,
+    )
+    return _random("bumps", model, changed, setting, 3)
+
+
+def _ridges(start: Surface | None, setting: Setting) -> Candidate:
+    starts: list[Any] = [start]
+    if start is None:
+        starts = []
+        for vector in setting.vectors[:3]:
+            period, angle = 1.0 / math.hypot(*vector), math.atan2(*vector)
+            base = Sinusoidal(period, setting.coarse.scale, 0.0, angle)
+            starts += [Ridges(base, part * period, period) for part in (0.04, 0.1)]
+    # Bounds follow the start: each is a fit of its own.
+    found = [_field(setting.coarse.flat, one, setting) for one in starts]
+    field = min(found, key=lambda f: f.deviance)
+    model = field.surface
+    assert isinstance(model, Ridges)
+    free = len(field.names)
+    values, _ = canonical(model.grating)
+    place = [n for n in values if n in ("phase", "shift")]
+    fixed = values | dict.fromkeys(place, 0.0) | {"offset": 0.0}
+    model = model.replaced({f"grating.{name}": value for name, value in fixed.items()})
+    # Positions are not told.
+    names = (*field.names, *(f"grating.{name}" for name in place))
+    covariance = np.full((len(names), len(names)), np.nan)
+    covariance[:free, :free] = field.covariance
+    changed = dataclasses.replace(field, names=names, covariance=covariance)
+    return _random("ridges", model, changed, setting, free)
+
+
+def _disc(setting: Setting) -> Candidate:
+    try:
+        pits = scan_disc.find(setting.coarse, setting.vectors)
+    except InputError as error:
+        return Candidate("compactdisc", f"The scan shows no tracks: {error}.")
+    found = _squares(setting.coarse, pits, setting, setting.max_steps)
+    for _ in range(2):
+        assert isinstance(found.surface, scan_disc.Pits)
+        better = scan_disc.ends(found.surface, setting.coarse, found.rest)
+        found = _squares(setting.coarse, better, setting, setting.max_steps, found.precision)
+    scored = _scored("compactdisc", found, setting, 2 * len(pits.track))
+    last = found.surface
+    assert isinstance(last, scan_disc.Pits)
+    bit, error = scan_disc.bit(last, setting.coarse)
+    assert scored.model is not None
+    values = {name: float(scored.model.get(name)) for name in found.names}
+    values |= {"bit": bit, "offset": float(found.plane[0])}
+    model = CompactDisc(**{n: jnp.asarray(v, setting.dtype) for n, v in values.items()})
+    names = (*found.names, "bit")
+    covariance = np.zeros((len(names), len(names)))
+    covariance[:-1, :-1] = scored.covariance
+    covariance[-1, -1] = error**2
+    return dataclasses.replace(scored, model=model, names=names, covariance=covariance)
