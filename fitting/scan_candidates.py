@@ -166,6 +166,15 @@ def _field(
     )
 
 
+def _left(rest: np.ndarray, setting: Setting) -> Field:
+    """What a surface leaves: noise, or noise and Gaussian roughness, by the criterion."""
+    plain = _field(rest, None, setting)
+    step, deviation = math.sqrt(setting.coarse.pixel[0] * setting.coarse.pixel[1]), rest.std()
+    starts = [Roughness(0.7 * float(deviation), reach * step) for reach in (3.0, 10.0)]
+    rough = _field(rest, starts[0], setting, starts)
+    return min(plain, rough, key=lambda f: f.deviance + (len(f.names) * math.log(f.count)))
+
+
 def _starts(kind: type[Grating], setting: Setting) -> list[Surface]:
     found = []
     for vector in setting.vectors:
@@ -211,7 +220,7 @@ def _scored(
     )
     left = scan_register.filled(scan.heights - heights, scan.known)
     rest = dataclasses.replace(scan, heights=left).binned(setting.factor)
-    field = _field(rest.flat, None, setting)
+    field = _left(rest.flat, setting)
     plane = found.plane[0] + found.plane[1] * scan.y[:, None] + found.plane[2] * scan.x[None, :]
     residual = scan.heights - heights - plane
     whole = residual + heights
@@ -235,7 +244,7 @@ def _scored(
     model = _with_offset(model, float(found.plane[0]))
     known = scan.known
     explained = 1.0 - float(residual[known].var() / max(whole[known].var(), 1e-300))
-    count = len(found.names) + nuisances + scan_noise.NOISE
+    count = len(found.names) + nuisances + scan_noise.NOISE + len(field.names)
     converged = found.converged and field.converged
     if not found.converged:
         reason = f"Least squares did not come to an end in {setting.max_steps} steps."
@@ -415,11 +424,13 @@ def _bumps(setting: Setting) -> Candidate:
 def _ridges(start: Surface | None, setting: Setting) -> Candidate:
     starts: list[Any] = [start]
     if start is None:
-        starts = []
-        for vector in setting.vectors[:3]:
-            period, angle = 1.0 / math.hypot(*vector), math.atan2(*vector)
-            base = Sinusoidal(period, setting.coarse.scale, 0.0, angle)
-            starts += [Ridges(base, part * period, period) for part in (0.04, 0.1)]
+        period, angle = 1.0 / math.hypot(*setting.vectors[0]), math.atan2(*setting.vectors[0])
+        base = Sinusoidal(period, setting.coarse.scale, 0.0, angle)
+        starts = [
+            Ridges(base, part * period, reach * period)
+            for part in (0.04, 0.1)
+            for reach in (1.0, 3.0)
+        ]
     # Bounds follow the start: each is a fit of its own.
     found = [_field(setting.coarse.flat, one, setting) for one in starts]
     field = min(found, key=lambda f: f.deviance)

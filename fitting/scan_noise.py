@@ -34,6 +34,9 @@ MOST = 192
 # their deviation, so that the error is some 1e-5.
 _KAPPA = 1e-2
 _ORDERS = 6
+# Least white noise over the scan's deviation. Scans are smooth far below it, and models with
+# corners are not: what they miss there shall not decide.
+_WHITE = 1e-2
 _STEPS = 80
 # Number of the noise's parameters: white, correlated, its length and exponent, lines.
 NOISE = 5
@@ -53,7 +56,8 @@ class Field:
     u
         Encoded numbers: noise first.
     noise
-        ``white``, ``correlated`` and ``lines``: rms; ``length``; ``hurst``.
+        ``white`` (1 % of the scan's deviation at least), ``correlated`` and ``lines``: rms;
+        ``length``; ``hurst``; ``rough``, ``rough_length``: of Gaussian roughness beside it.
     deviance
         -2 log likelihood, of heights over the scan's deviation.
     count
@@ -261,7 +265,8 @@ def fit(
     side = min(ny * dy, nx * dx)
     names = seen(surface)
     least, most = 0.3 * min(dy, dx), 2.0 * side
-    bounds = [(-9.0, 2.0), (-9.0, 2.0), (math.log(least), math.log(most)), (-2.0, 4.0)]
+    bounds = [(math.log(_WHITE), 2.0), (-9.0, 2.0), (math.log(least), math.log(most))]
+    bounds.append((-2.0, 4.0))
     bounds.append((-9.0, 2.0) if drift else (-30.0, -30.0))
     for name in names:
         kind = kinds(surface)[name] if surface is not None else ""
@@ -318,6 +323,8 @@ def fit(
         "length": float(np.exp(u[2])),
         "hurst": float(1.0 / (1.0 + np.exp(-u[3]))),
         "lines": float(rms[2]) if drift else 0.0,
+        "rough": float(fitted.rms) if isinstance(fitted, Roughness) else 0.0,
+        "rough_length": float(fitted.correlation_length) if isinstance(fitted, Roughness) else 0.0,
     }
     return Field(fitted, names, u, noise, float(value), count, covariance, bool(done))
 
@@ -332,7 +339,7 @@ def _keep_ridges(
     bounds[at["grating.angle"]] = (angle - 0.3, angle + 0.3)
     # g below 0.9: the line keeps 40 % of its power.
     bounds[at["displacement"]] = (math.log(1e-3 * period), math.log(0.15 * period))
-    bounds[at["correlation_length"]] = (math.log(0.5 * period), math.log(20.0 * period))
+    bounds[at["correlation_length"]] = (math.log(0.15 * period), math.log(20.0 * period))
 
 
 def lags(field: Field, scan: Scan) -> np.ndarray:
@@ -343,4 +350,9 @@ def lags(field: Field, scan: Scan) -> np.ndarray:
     dtype = jnp.result_type(float)
     u = jnp.asarray(field.u[:NOISE], dtype)
     cov = noise_covariance(u, jnp.asarray(y, dtype), jnp.asarray(x, dtype), white=False)
+    if isinstance(field.surface, Roughness):
+        rough = field.surface
+        half = (jnp.asarray(v, dtype) for v in (y, x, scan.scale))
+        rough = Roughness(*(float(rough.get(n)) for n in ("rms", "correlation_length")))
+        cov = cov + surface_covariance(rough, *half)
     return np.asarray(cov, float) * scan.scale**2
