@@ -204,7 +204,7 @@ def _result(
     stopped: bool,
     count: int,
 ) -> ScanFit:
-    best = min(asked, key=lambda c: (not c.converged, c.criterion))
+    best = min(asked, key=lambda c: c.criterion)
     converged, reason = best.converged, best.reason
     if best.deterministic:
         rough = next((c for c in found if c.name == "roughness"), None)
@@ -232,7 +232,9 @@ def _result(
         for c in order
     )
     assert best.model is not None
-    residual = np.where(setting.scan.missing, np.nan, best.residual)
+    # Spikes are filled for the fit, not for the residual.
+    spikes = np.asarray(scan.heights, np.float64) - setting.scan.heights
+    residual = np.where(setting.scan.missing, np.nan, best.residual + spikes)
     return ScanFit(
         model=best.model,
         names=best.names,

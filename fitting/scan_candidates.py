@@ -177,10 +177,11 @@ def _left(rest: np.ndarray, setting: Setting) -> Field:
 
 def _starts(kind: type[Grating], setting: Setting) -> list[Surface]:
     found = []
+    make: Any = kind
     for vector in setting.vectors:
         profile = scan_register.folded(setting.scan, vector)
         values, gain = scan_register.start(kind, profile, vector)
-        found.append((gain, kind(**values)))
+        found.append((gain, make(**values)))
     found.sort(key=lambda pair: -pair[0])
     return [s for gain, s in found[:2] if gain >= _RIVAL * found[0][0]]
 
@@ -218,23 +219,23 @@ def _scored(
     heights = np.asarray(
         scan_squares.field(found.surface, y, x, scan.pixel, setting.edges), np.float64
     )
-    left = scan_register.filled(scan.heights - heights, scan.known)
+    # Neighbours in other lines fill a pixel once the lines are level.
+    lines = found.lines
+    if lines.shape != scan.y.shape:
+        lines = np.repeat(lines, setting.factor)
+        lines = np.concatenate([lines, np.full(len(scan.y) - len(lines), lines[-1])])
+    level = scan.heights - heights - lines[:, None]
+    left = scan_register.filled(level, scan.known) + lines[:, None]
     rest = dataclasses.replace(scan, heights=left).binned(setting.factor)
     field = _left(rest.flat, setting)
     plane = found.plane[0] + found.plane[1] * scan.y[:, None] + found.plane[2] * scan.x[None, :]
-    residual = scan.heights - heights - plane
+    residual = level - plane
     whole = residual + heights
-    if found.lines.shape == scan.y.shape:
-        residual, whole = residual - found.lines[:, None], whole - found.lines[:, None]
-        lines, at = found.lines, found
-    else:
-        lines = np.repeat(found.lines, setting.factor)
-        lines = np.concatenate([lines, np.full(len(scan.y) - len(lines), lines[-1])])
-        residual, whole, at = residual - lines[:, None], whole - lines[:, None], None
-    grid = scan if at is not None else setting.coarse
+    full = found.lines.shape == scan.y.shape
+    grid = scan if full else setting.coarse
     # Averages over blocks have less white noise; pixels that are filled have none.
     scatter = field.noise["white"] ** 2 / max(float(setting.coarse.known.mean()), 0.1)
-    white = scatter * (setting.factor**2 if at is not None else 1)
+    white = scatter * (setting.factor**2 if full else 1)
     encoded = scan_squares.covariance(
         found, grid, setting.edges, scan_noise.lags(field, grid), white, dtype
     )
@@ -411,7 +412,7 @@ def _bumps(setting: Setting) -> Candidate:
     )
     inner = np.zeros((3, 3))
     inner[:2, :2] = field.covariance
-    inner[2, 2] = variance
+    inner[2, 2] = _scatter(flat - flat[known].mean()) / rms**6
     changed = dataclasses.replace(
         field,
         names=("height", "size", "density"),
@@ -419,6 +420,16 @@ def _bumps(setting: Setting) -> Candidate:
         deviance=field.deviance - gain,
     )
     return _random("bumps", model, changed, setting, 3)
+
+
+def _scatter(values: np.ndarray) -> float:
+    """Variance of the mean cube, from its means over 16 parts of the scan."""
+    parts = [
+        float((block**3).mean())
+        for band in np.array_split(values, 4, 0)
+        for block in np.array_split(band, 4, 1)
+    ]
+    return float(np.var(parts, ddof=1)) / len(parts)
 
 
 def _ridges(start: Surface | None, setting: Setting) -> Candidate:

@@ -74,8 +74,8 @@ class Pits(Surface):
         width = self.width * self.pitch
         middle = 0.5 * (self.start + self.end)
         half = jnp.maximum(0.5 * (self.end - self.start - width), 0.0)
-        beyond = jnp.maximum(jnp.abs(along[..., None] - middle) - half, 0.0)
-        off = across[..., None] - self.track * self.pitch
+        beyond = jnp.maximum(jnp.abs(along[..., None] - middle[None, None]) - half[None, None], 0.0)
+        off = across[..., None] - (self.track * self.pitch)[None, None]
         square = (beyond**2 + off**2).min(-1)
         # The root has no derivative at 0.
         distance = jnp.sqrt(jnp.maximum(square, 1e-12))

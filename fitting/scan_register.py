@@ -7,7 +7,9 @@ here.
 import dataclasses
 import itertools
 import math
+from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from diffopt.errors import InputError
@@ -20,6 +22,8 @@ LEAST = 16
 _KNOWN = 0.3
 # A pixel that tops all its neighbours by this many deviations of the noise is a spike.
 _SPIKE = 6.0
+# Neighbours that may be missing (five are at a corner of the scan).
+_HOLES = 2
 # Samples of a mean profile over one period.
 _SAMPLES = 48
 # Shape parameters that starts are tried at.
@@ -145,6 +149,7 @@ def _around(values: np.ndarray) -> np.ndarray:
 def _spikes(values: np.ndarray) -> np.ndarray:
     """Single pixels far above or below all of their neighbours: no edge or corner is one."""
     low = high = None
+    holes = np.zeros(values.shape, int)
     ny, nx = values.shape
     wide = np.pad(values, 1, constant_values=np.nan)
     for j, i in itertools.product(range(3), range(3)):
@@ -153,12 +158,14 @@ def _spikes(values: np.ndarray) -> np.ndarray:
         part = wide[j : j + ny, i : i + nx]
         low = part if low is None else np.fmin(low, part)
         high = part if high is None else np.fmax(high, part)
+        holes += np.isnan(part)
     middle = 0.5 * (wide[1:-1, :-2] + wide[1:-1, 2:]) - values
     found = np.abs(middle[np.isfinite(middle)])
     # The deviation of that difference is sqrt(3 / 2) that of white noise.
     sigma = 1.4826 * np.median(found) / math.sqrt(1.5) if found.size else 0.0
     beyond = np.fmax(values - high, low - values)
-    return np.nan_to_num(beyond, nan=0.0) > max(_SPIKE * sigma, 1e-12)
+    # Beside a hole an edge may look like one.
+    return (np.nan_to_num(beyond, nan=0.0) > max(_SPIKE * sigma, 1e-12)) & (holes <= _HOLES)
 
 
 def _plane(values: np.ndarray, known: np.ndarray, y: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -216,7 +223,7 @@ def wave_vectors(scan: Scan, count: int = 3) -> list[tuple[float, float]]:
 
 
 def _multiple(peak: np.ndarray, other: np.ndarray, step: np.ndarray) -> bool:
-    ratio = (peak @ other) / (other @ other)
+    ratio = float((peak @ other) / (other @ other))
     return abs(round(ratio)) >= 1 and bool(np.all(np.abs(peak - round(ratio) * other) < 1.5 * step))
 
 
@@ -276,12 +283,14 @@ def start(
     """
     height = next(n for n, k in kind.PARAMETERS.items() if k == "height" and n != "offset")
     place = next(n for n, k in kind.PARAMETERS.items() if k in ("turns", "phase"))
+    make: Any = kind
     samples = len(profile)
     middle = (np.arange(samples) + 0.5) / samples
+    places = jnp.asarray(middle, jnp.result_type(float))
     target = np.fft.fft(profile - profile.mean())
     best: tuple[float, dict[str, float]] = (-1.0, {})
     for shape in shapes(kind):
-        unit = np.asarray(kind(**{"period": 1.0, height: 1.0} | shape).profile(middle), float)
+        unit = np.asarray(make(**{"period": 1.0, height: 1.0} | shape).profile(places), float)
         unit = unit - unit.mean()
         square = float((unit**2).sum())
         if square < 1e-9:
