@@ -19,8 +19,7 @@ from jaxtyping import Array, Float
 from diffopt import checks
 from diffopt.errors import InputError
 from diffopt.fitting import scan_candidates, scan_noise, scan_register
-from diffopt.fitting.scan_candidates import Candidate
-from diffopt.fitting.scan_candidates import Setting as _Setting
+from diffopt.fitting.scan_setting import Candidate, Setting, noise_alone
 from diffopt.gratings import Surface
 from diffopt.heightfield import Heightfield
 
@@ -79,7 +78,8 @@ class ScanFit(eqx.Module):
         random: scan less plane.
     noise
         ``white``, ``correlated``, ``lines``: rms; ``length`` of the correlation
-        exp(-(r / length)^(2 hurst)); ``hurst``.
+        exp(-(r / length)^(2 hurst)); ``hurst``; ``rough``, ``rough_length``: rms and length of
+        Gaussian roughness beside it, 0 where the criterion does not ask for it.
     ranking
         All models, best first.
     converged, reason
@@ -168,7 +168,7 @@ def fit_scan(
     wanted = scan_candidates.wanted(model)
     ready = scan_register.prepared(np.asarray(scan.heights), scan.pixel)
     factor = -(-max(ready.heights.shape) // scan_noise.MOST)
-    setting = _Setting(
+    setting = Setting(
         scan=ready,
         coarse=ready.binned(factor),
         factor=factor,
@@ -199,7 +199,7 @@ def fit_scan(
 def _result(
     found: list[Candidate],
     asked: list[Candidate],
-    setting: _Setting,
+    setting: Setting,
     scan: Heightfield,
     stopped: bool,
     count: int,
@@ -211,7 +211,7 @@ def _result(
         if rough is None:
             rough = scan_candidates.run("roughness", None, setting, found)
             found = [*found, rough]
-        none = scan_candidates.noise_alone(setting)
+        none = noise_alone(setting)
         gain = min(rough.criterion, none) - best.criterion
         if gain < _STRONG:
             converged = False

@@ -10,10 +10,19 @@ import numpy as np
 
 from diffopt import gratings
 from diffopt.errors import InputError
-from diffopt.fitting import scan_disc, scan_noise, scan_register, scan_squares
+from diffopt.fitting import (
+    scan_codes,
+    scan_disc,
+    scan_errors,
+    scan_noise,
+    scan_register,
+    scan_squares,
+)
 from diffopt.fitting.scan_convention import canonical, transformed
 from diffopt.fitting.scan_noise import Field
+from diffopt.fitting.scan_random import bumps, ridges, roughness
 from diffopt.fitting.scan_register import Scan
+from diffopt.fitting.scan_setting import Candidate, Setting, law
 from diffopt.gratings import (
     Binary,
     Blazed,
@@ -36,52 +45,6 @@ MODELS: dict[str, type[Surface]] = {
 }  # fmt: skip
 # A second start is tried if it explains this share of what the first does.
 _RIVAL = 0.7
-# The most that skewness may speak for bumps, twice a log likelihood: other things skew too.
-_SKEW = 100.0
-
-
-@dataclasses.dataclass(frozen=True)
-class Setting:
-    """What all candidates share."""
-
-    scan: Scan
-    coarse: Scan
-    factor: int
-    vectors: list[tuple[float, float]]
-    drift: bool
-    robust: bool
-    edges: str
-    max_steps: int
-    dtype: Any
-    shared: dict[str, Field] = dataclasses.field(default_factory=dict)
-
-
-@dataclasses.dataclass(frozen=True)
-class Candidate:
-    """A fitted model; `ScanFit` says what the parts are. Without a model: why there is none."""
-
-    name: str
-    reason: str
-    converged: bool = False
-    model: Surface | None = None
-    names: tuple[str, ...] = ()
-    covariance: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
-    tilt: tuple[float, float] = (0.0, 0.0)
-    lines: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0))
-    residual: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
-    noise: dict[str, float] = dataclasses.field(default_factory=dict)
-    criterion: float = math.inf
-    parameters: int = 0
-    rms: float = math.nan
-    goodness: float = 0.0
-    deterministic: bool = True
-
-    @property
-    def title(self) -> str:
-        """In words."""
-        return {"crossed": "two crossed gratings", "compactdisc": "the tracks of a disc"}.get(
-            self.name, f"a {self.name} grating"
-        )
 
 
 def wanted(model: Any) -> list[tuple[str, Surface | None]]:
@@ -128,13 +91,13 @@ def run(name: str, start: Surface | None, setting: Setting, before: list[Candida
     """
     kind = MODELS[name]
     if name == "roughness":
-        return _roughness(start, setting)
+        return roughness(start, setting)
     if name == "bumps":
-        return _bumps(setting)
+        return bumps(setting)
     if not setting.vectors and start is None:
         return Candidate(name, "The power spectrum has no peak to start from.")
     if name == "ridges":
-        return _ridges(start, setting)
+        return ridges(start, setting)
     if name == "compactdisc":
         return _disc(setting)
     if name == "crossed":
@@ -144,34 +107,12 @@ def run(name: str, start: Surface | None, setting: Setting, before: list[Candida
     return _scored(name, _best(starts, setting), setting)
 
 
-def noise_alone(setting: Setting) -> float:
-    """Criterion of noise without any surface."""
-    if "none" not in setting.shared:
-        setting.shared["none"] = _field(setting.coarse.flat, None, setting)
-    found = setting.shared["none"]
-    return found.deviance + scan_noise.NOISE * math.log(found.count)
-
-
-def _field(
-    rest: np.ndarray, surface: Surface | None, setting: Setting, starts: Any = None
-) -> Field:
-    return scan_noise.fit(
-        rest,
-        setting.coarse,
-        surface,
-        drift=setting.drift,
-        dtype=setting.dtype,
-        starts=starts,
-        max_steps=min(setting.max_steps, 80),
-    )
-
-
 def _left(rest: np.ndarray, setting: Setting) -> Field:
     """What a surface leaves: noise, or noise and Gaussian roughness, by the criterion."""
-    plain = _field(rest, None, setting)
+    plain = law(rest, None, setting)
     step, deviation = math.sqrt(setting.coarse.pixel[0] * setting.coarse.pixel[1]), rest.std()
     starts = [Roughness(0.7 * float(deviation), reach * step) for reach in (3.0, 10.0)]
-    rough = _field(rest, starts[0], setting, starts)
+    rough = law(rest, starts[0], setting, starts)
     return min(plain, rough, key=lambda f: f.deviance + (len(f.names) * math.log(f.count)))
 
 
@@ -217,7 +158,7 @@ def _scored(
     scan, dtype = setting.scan, setting.dtype
     y, x = jnp.asarray(scan.y, dtype), jnp.asarray(scan.x, dtype)
     heights = np.asarray(
-        scan_squares.field(found.surface, y, x, scan.pixel, setting.edges), np.float64
+        scan_codes.field(found.surface, y, x, scan.pixel, setting.edges), np.float64
     )
     # Neighbours in other lines fill a pixel once the lines are level.
     lines = found.lines
@@ -236,10 +177,10 @@ def _scored(
     # Averages over blocks have less white noise; pixels that are filled have none.
     scatter = field.noise["white"] ** 2 / max(float(setting.coarse.known.mean()), 0.1)
     white = scatter * (setting.factor**2 if full else 1)
-    encoded = scan_squares.covariance(
+    encoded = scan_errors.covariance(
         found, grid, setting.edges, scan_noise.lags(field, grid), white, dtype
     )
-    factor = scan_squares.natural(found.u, found.surface, found.names, scan.scale)
+    factor = scan_codes.natural(found.u, found.surface, found.names, scan.scale)
     covariance = encoded * np.outer(factor, factor)
     model, covariance = _conventional(found, covariance)
     model = _with_offset(model, float(found.plane[0]))
@@ -324,140 +265,6 @@ def _crossed(start: Surface | None, setting: Setting, before: list[Candidate]) -
         return Candidate("crossed", "What a grating leaves has no peak in another direction.")
     second = max(found, key=lambda pair: pair[0])[1]
     return _scored("crossed", _best([Crossed(first.model, second)], setting), setting)
-
-
-def _random(name: str, model: Surface, field: Field, setting: Setting, count: int) -> Candidate:
-    scan = setting.scan
-    flat = scan.flat
-    plane = scan.heights - flat
-    half_y, half_x = scan.y[-1] - scan.y[0], scan.x[-1] - scan.x[0]
-    tilt = (
-        float((plane[-1, 0] - plane[0, 0]) / half_y),
-        float((plane[0, -1] - plane[0, 0]) / half_x),
-    )
-    noise = math.hypot(field.noise["white"], field.noise["correlated"])
-    total = flat.var()
-    reason = (
-        "The likelihood of the spectrum reached its maximum."
-        if field.converged
-        else "The likelihood of the spectrum did not reach its maximum."
-    )
-    return Candidate(
-        name=name,
-        reason=reason,
-        converged=field.converged,
-        model=model,
-        names=field.names,
-        covariance=field.covariance,
-        tilt=tilt,
-        lines=np.zeros(len(scan.y)),
-        residual=flat,
-        noise=field.noise,
-        criterion=field.deviance + (count + scan_noise.NOISE) * math.log(field.count),
-        parameters=count + scan_noise.NOISE,
-        rms=noise,
-        goodness=max(1.0 - noise**2 / total, 0.0),
-        deterministic=False,
-    )
-
-
-def _rough(start: Surface | None, setting: Setting) -> Field:
-    if start is not None or "rough" not in setting.shared:
-        coarse = setting.coarse
-        step = math.sqrt(coarse.pixel[0] * coarse.pixel[1])
-        starts: Any = [start] if start is not None else [
-            Roughness(0.9 * coarse.scale, factor * step) for factor in (3.0, 10.0)
-        ]  # fmt: skip
-        setting.shared["rough"] = _field(coarse.flat, starts[0], setting, starts)
-    return setting.shared["rough"]
-
-
-def _roughness(start: Surface | None, setting: Setting) -> Candidate:
-    field = _rough(start, setting)
-    assert field.surface is not None
-    return _random("roughness", field.surface, field, setting, 2)
-
-
-def _bumps(setting: Setting) -> Candidate:
-    """Bumps have the spectrum of roughness; their skewness tells number from height.
-
-    With size s and number lambda the covariance is lambda pi h^2 s^2 exp(-r^2 / 4 s^2) and the
-    skewness 2 / (3 sqrt(lambda pi s^2)) (Campbell's theorem: cumulants of shot noise).
-    """
-    field = _rough(None, setting)
-    assert field.surface is not None
-    rms, length = (float(field.surface.get(n)) for n in ("rms", "correlation_length"))
-    flat = setting.coarse.flat
-    known = setting.coarse.known
-    skew = float(((flat - flat[known].mean())[known] ** 3).mean()) / rms**3
-    (ny, nx), (dy, dx) = flat.shape, setting.coarse.pixel
-    lag_y, lag_x = (np.arange(-n + 1, n) for n in (ny, nx))
-    r2 = (lag_y[:, None] * dy) ** 2 + (lag_x[None, :] * dx) ** 2
-    overlap = (1.0 - np.abs(lag_y) / ny)[:, None] * (1.0 - np.abs(lag_x) / nx)[None, :]
-    # Of Gaussian fields: 6 / n^2 times the sum of cubed correlations.
-    variance = 6.0 * float((np.exp(-3.0 * r2 / length**2) * overlap).sum()) / flat.size
-    gain = min(skew**2 / variance, _SKEW)
-    if abs(skew) < 1e-3:
-        skew = math.copysign(1e-3, skew)
-    size = 0.5 * length
-    density = 4.0 / (9.0 * skew**2 * math.pi * size**2)
-    model = Bumps(*(jnp.asarray(v, setting.dtype) for v in (1.5 * skew * rms, size, density)))
-    # Height, size and density to rms, length and skewness.
-    slope = np.array(
-        [
-            [1.5 * skew, 0.0, 1.5 * rms],
-            [0.0, 0.5, 0.0],
-            [0.0, -2.0 * density / length, -2.0 * density / skew],
-        ]
-    )
-    inner = np.zeros((3, 3))
-    inner[:2, :2] = field.covariance
-    inner[2, 2] = _scatter(flat - flat[known].mean()) / rms**6
-    changed = dataclasses.replace(
-        field,
-        names=("height", "size", "density"),
-        covariance=slope @ inner @ slope.T,
-        deviance=field.deviance - gain,
-    )
-    return _random("bumps", model, changed, setting, 3)
-
-
-def _scatter(values: np.ndarray) -> float:
-    """Variance of the mean cube, from its means over 16 parts of the scan."""
-    parts = [
-        float((block**3).mean())
-        for band in np.array_split(values, 4, 0)
-        for block in np.array_split(band, 4, 1)
-    ]
-    return float(np.var(parts, ddof=1)) / len(parts)
-
-
-def _ridges(start: Surface | None, setting: Setting) -> Candidate:
-    starts: list[Any] = [start]
-    if start is None:
-        period, angle = 1.0 / math.hypot(*setting.vectors[0]), math.atan2(*setting.vectors[0])
-        base = Sinusoidal(period, setting.coarse.scale, 0.0, angle)
-        starts = [
-            Ridges(base, part * period, reach * period)
-            for part in (0.04, 0.1)
-            for reach in (1.0, 3.0)
-        ]
-    # Bounds follow the start: each is a fit of its own.
-    found = [_field(setting.coarse.flat, one, setting) for one in starts]
-    field = min(found, key=lambda f: f.deviance)
-    model = field.surface
-    assert isinstance(model, Ridges)
-    free = len(field.names)
-    values, _ = canonical(model.grating)
-    place = [n for n in values if n in ("phase", "shift")]
-    fixed = values | dict.fromkeys(place, 0.0) | {"offset": 0.0}
-    model = model.replaced({f"grating.{name}": value for name, value in fixed.items()})
-    # Positions are not told.
-    names = (*field.names, *(f"grating.{name}" for name in place))
-    covariance = np.full((len(names), len(names)), np.nan)
-    covariance[:free, :free] = field.covariance
-    changed = dataclasses.replace(field, names=names, covariance=covariance)
-    return _random("ridges", model, changed, setting, free)
 
 
 def _disc(setting: Setting) -> Candidate:

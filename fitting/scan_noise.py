@@ -21,8 +21,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from diffopt.fitting.scan_codes import decoded, encoded, natural
 from diffopt.fitting.scan_register import Scan
-from diffopt.fitting.scan_squares import decoded, encoded, natural
 from diffopt.gratings import Ridges, Roughness, Surface
 from diffopt.gratings.base import kinds
 

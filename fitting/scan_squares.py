@@ -8,7 +8,6 @@ lose weight by Cauchy's function, in rounds.
 """
 
 import dataclasses
-import math
 from typing import Any
 
 import equinox as eqx
@@ -18,10 +17,10 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from diffopt.fitting.scan_disc import Pits
+from diffopt.fitting.scan_codes import decoded, encoded, field, free
 from diffopt.fitting.scan_register import Scan
 from diffopt.fitting.solvers import NormalLevenbergMarquardt
-from diffopt.gratings import Crossed, Grating, Surface
+from diffopt.gratings import Surface
 from diffopt.gratings.base import kinds
 
 # Cauchy's constant: 95 % of the efficiency of least squares under Gaussian noise.
@@ -31,76 +30,6 @@ _NONE = 1e12
 _ROUNDS = 8
 # Rounds end where no parameter moves by this much of its standard error under white noise.
 _STILL = 0.02
-
-
-def free(surface: Surface) -> tuple[str, ...]:
-    """Parameters that heights depend on beyond a plane: all but offsets."""
-    return tuple(path for path in kinds(surface) if path.split(".")[-1] != "offset")
-
-
-def encoded(surface: Surface, names: tuple[str, ...], scale: float) -> np.ndarray:
-    """Numbers of order one without bounds: log of lengths, log odds of shares."""
-    out, found = [], kinds(surface)
-    for name in names:
-        value, kind = float(surface.get(name)), found[name]
-        if kind in ("length", "density"):
-            value = math.log(value)
-        elif kind == "share":
-            value = min(max(value, 1e-4), 1.0 - 1e-4)
-            value = math.log(value / (1.0 - value))
-        elif kind == "height":
-            value = value / scale
-        out.append(value)
-    return np.array(out)
-
-
-def decoded(
-    u: Float[Array, " P"], surface: Surface, names: tuple[str, ...], scale: Float[Array, ""]
-) -> Surface:
-    """The surface with parameters from `encoded`."""
-    found, values = kinds(surface), {}
-    for k, name in enumerate(names):
-        kind = found[name]
-        if kind in ("length", "density"):
-            values[name] = jnp.exp(u[k])
-        elif kind == "share":
-            values[name] = jax.nn.sigmoid(u[k])
-        else:
-            values[name] = u[k] * scale if kind == "height" else u[k]
-    return surface.replaced(values)
-
-
-def natural(u: np.ndarray, surface: Surface, names: tuple[str, ...], scale: float) -> np.ndarray:
-    """Derivatives of the parameters to their encoded numbers."""
-    found, out = kinds(surface), []
-    for name in names:
-        value = float(surface.get(name))
-        kind = found[name]
-        if kind == "share":
-            value = value * (1.0 - value)
-        elif kind == "height":
-            value = scale
-        elif kind not in ("length", "density"):
-            value = 1.0
-        out.append(value)
-    return np.array(out)
-
-
-def field(
-    surface: Surface,
-    y: Float[Array, " ny"],
-    x: Float[Array, " nx"],
-    pixel: tuple[float, float],
-    edges: str,
-) -> Float[Array, "ny nx"]:
-    """Heights at rows and columns, of a grating, two of them crossed, or pits."""
-    if isinstance(surface, Crossed):
-        return field(surface.first, y, x, pixel, edges) + field(surface.second, y, x, pixel, edges)
-    if isinstance(surface, Pits):
-        return surface.at(y, x, pixel)
-    assert isinstance(surface, Grating)
-    across = jnp.cos(surface.angle) * x[None, :] + jnp.sin(surface.angle) * y[:, None]
-    return surface.at(across, pixel, edges)
 
 
 class Pixels(eqx.Module):
@@ -371,65 +300,3 @@ def _inflation(rest: np.ndarray) -> float:
     slope = ((1.0 - t) / (1.0 + t) ** 2).mean()
     core = (s / _CAUCHY) ** 2
     return max(float(psi2.mean() / slope**2) - core, 0.0)
-
-
-@eqx.filter_jit
-def _gains(
-    u: Array,
-    pixels: Pixels,
-    surface: Surface,
-    names: tuple[str, ...],
-    pixel: tuple[float, float],
-    edges: str,
-) -> tuple[Array, Array]:
-    """Derivatives, and the images that a deviation is summed with, before the matrix."""
-
-    def heights(v: Array) -> Array:
-        return (
-            field(decoded(v, surface, names, pixels.scale), pixels.y, pixels.x, pixel, edges)
-            / pixels.scale
-        )
-
-    _, derivative = jax.linearize(heights, u)
-    jacobian = jax.lax.map(derivative, jnp.eye(u.size, dtype=u.dtype))
-    rest = jax.lax.map(lambda row: project(row, pixels)[0] * pixels.weight, jacobian)
-    return jacobian, rest
-
-
-def covariance(
-    found: Squares, scan: Scan, edges: str, correlation: np.ndarray, white: float, dtype: Any
-) -> np.ndarray:
-    """Covariance of the encoded parameters under correlated noise (sandwich).
-
-    Parameters
-    ----------
-    found, scan, edges
-        The fit.
-    correlation
-        [2 ny, 2 nx] covariance of the noise at lags in the order of the FFT, um^2.
-    white
-        Variance of white noise, um^2, in `correlation` not included.
-    dtype
-        Of the computation.
-    """
-    # Weights that fall with the noise itself are in `inflation`, not here.
-    pixels = Pixels(
-        heights=jnp.asarray(scan.heights / scan.scale, dtype),
-        weight=jnp.asarray(scan.known, dtype),
-        precision=jnp.asarray(found.precision, dtype),
-        y=jnp.asarray(scan.y, dtype),
-        x=jnp.asarray(scan.x, dtype),
-        scale=jnp.asarray(scan.scale, dtype),
-    )
-    u = jnp.asarray(found.u, dtype)
-    rows, gains = _gains(u, pixels, found.surface, found.names, scan.pixel, edges)
-    rows, gains = np.asarray(rows, float), np.asarray(gains, float)
-    matrix = np.einsum("ayx,byx->ab", rows, gains)
-    ny, nx = scan.heights.shape
-    spectrum = np.fft.rfft2(correlation).real
-    middle = (white + found.inflation) * np.einsum("ayx,byx->ab", gains, gains)
-    for a, row in enumerate(gains):
-        wide = np.fft.irfft2(np.fft.rfft2(row, (2 * ny, 2 * nx)) * spectrum, (2 * ny, 2 * nx))
-        middle[a] += np.einsum("yx,byx->b", wide[:ny, :nx], gains)
-    inverse = np.linalg.pinv(matrix, hermitian=True, rcond=1e-12)
-    return inverse @ (0.5 * (middle + middle.T)) @ inverse.T / scan.scale**2

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffopt.fitting import scan_noise, scan_register, scan_squares
+from diffopt.fitting import scan_codes, scan_noise, scan_register, scan_squares
 from diffopt.fitting.scan_convention import canonical
 from diffopt.gratings import Binary, Blazed, Crossed, Ridges, Roughness, Sinusoidal, Trapezoid
 
@@ -24,8 +24,8 @@ CROSSED = Crossed(GRATINGS[1], Sinusoidal(0.6, 0.03, 0.2, 0.3))
 
 @pytest.mark.parametrize("surface", [*GRATINGS, CROSSED], ids=lambda s: s.title)
 def test_rows_are_the_derivatives_of_residuals(surface, rng):
-    names = scan_squares.free(surface)
-    u = jnp.asarray(scan_squares.encoded(surface, names, 0.05))
+    names = scan_codes.free(surface)
+    u = jnp.asarray(scan_codes.encoded(surface, names, 0.05))
     pixels = scan_squares.Pixels(
         heights=jnp.asarray(rng.normal(size=SHAPE)),
         weight=jnp.asarray((rng.uniform(size=SHAPE) > 0.1) * rng.uniform(0.5, 1.0, SHAPE)),
@@ -68,7 +68,7 @@ def test_conventions_keep_the_heights(grating):
     values, change = canonical(grating)
     same = grating.replaced(values)
     before, after = (
-        np.asarray(scan_squares.field(s, Y, X, PIXEL, "averaged")) for s in (grating, same)
+        np.asarray(scan_codes.field(s, Y, X, PIXEL, "averaged")) for s in (grating, same)
     )
     # Rounding of turns: some 1e-15 of heights of 0.1.
     np.testing.assert_allclose(after, before, atol=1e-13)

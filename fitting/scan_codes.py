@@ -1,0 +1,82 @@
+"""Parameters of a surface as numbers without bounds, and its heights at rows and columns."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from diffopt.fitting.scan_disc import Pits
+from diffopt.gratings import Crossed, Grating, Surface
+from diffopt.gratings.base import kinds
+
+
+def free(surface: Surface) -> tuple[str, ...]:
+    """Parameters that heights depend on beyond a plane: all but offsets."""
+    return tuple(path for path in kinds(surface) if path.split(".")[-1] != "offset")
+
+
+def encoded(surface: Surface, names: tuple[str, ...], scale: float) -> np.ndarray:
+    """Numbers of order one without bounds: log of lengths, log odds of shares."""
+    out, found = [], kinds(surface)
+    for name in names:
+        value, kind = float(surface.get(name)), found[name]
+        if kind in ("length", "density"):
+            value = math.log(value)
+        elif kind == "share":
+            value = min(max(value, 1e-4), 1.0 - 1e-4)
+            value = math.log(value / (1.0 - value))
+        elif kind == "height":
+            value = value / scale
+        out.append(value)
+    return np.array(out)
+
+
+def decoded(
+    u: Float[Array, " P"], surface: Surface, names: tuple[str, ...], scale: Float[Array, ""]
+) -> Surface:
+    """The surface with parameters from `encoded`."""
+    found, values = kinds(surface), {}
+    for k, name in enumerate(names):
+        kind = found[name]
+        if kind in ("length", "density"):
+            values[name] = jnp.exp(u[k])
+        elif kind == "share":
+            values[name] = jax.nn.sigmoid(u[k])
+        else:
+            values[name] = u[k] * scale if kind == "height" else u[k]
+    return surface.replaced(values)
+
+
+def natural(u: np.ndarray, surface: Surface, names: tuple[str, ...], scale: float) -> np.ndarray:
+    """Derivatives of the parameters to their encoded numbers."""
+    found, out = kinds(surface), []
+    for name in names:
+        value = float(surface.get(name))
+        kind = found[name]
+        if kind == "share":
+            value = value * (1.0 - value)
+        elif kind == "height":
+            value = scale
+        elif kind not in ("length", "density"):
+            value = 1.0
+        out.append(value)
+    return np.array(out)
+
+
+def field(
+    surface: Surface,
+    y: Float[Array, " ny"],
+    x: Float[Array, " nx"],
+    pixel: tuple[float, float],
+    edges: str,
+) -> Float[Array, "ny nx"]:
+    """Heights at rows and columns, of a grating, two of them crossed, or pits."""
+    if isinstance(surface, Crossed):
+        return field(surface.first, y, x, pixel, edges) + field(surface.second, y, x, pixel, edges)
+    if isinstance(surface, Pits):
+        return surface.at(y, x, pixel)
+    assert isinstance(surface, Grating)
+    across = jnp.cos(surface.angle) * x[None, :] + jnp.sin(surface.angle) * y[:, None]
+    return surface.at(across, pixel, edges)
