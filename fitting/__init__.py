@@ -4,7 +4,14 @@ Inverse problems solved with optimistix.
 
 ==================  ==========================================================
 `measured`          measured reflectance, checked where it comes in
-`heightfield`       a grating's parameters from it
+`heightfield`       a grating's parameters from it, by a function that can be traced
+`reflectance`       a surface's parameters from it, from the data alone: `starts` by the grating
+                    equation, `forward` values, `maps` of bounds, `solving`, `answers`,
+                    `templates` of surfaces by name
+`scan`              a surface's parameters from its heights, models ranked: `scan_register`,
+                    `scan_candidates`, `scan_random`, `scan_disc`, `scan_squares`, `scan_noise`,
+                    `scan_errors`, `scan_codes`, `scan_setting`, `scan_convention`
+`freeform`          every height from reflectance, under `freeform_priors`
 `lobes`             functions on the sphere to von Mises-Fisher lobes, by `lobe_settings`
 `lobe_targets`      what they are fitted to; `lobe_samples`: samples
 `brdf`              whole BRDFs, with lobes that belong together
@@ -21,8 +28,11 @@ if __name__ != "diffopt.fitting":
         "of every module would be loaded"
     )
 
+from diffopt.fitting.answers import ReflectanceFit as ReflectanceFit
 from diffopt.fitting.brdf import fit_brdf as fit_brdf
 from diffopt.fitting.comparison import compare as compare
+from diffopt.fitting.freeform import HeightsFit as HeightsFit
+from diffopt.fitting.freeform import fit_heights as fit_heights
 from diffopt.fitting.heightfield import HeightfieldFit as HeightfieldFit
 from diffopt.fitting.heightfield import fit_heightfield as fit_heightfield
 from diffopt.fitting.heightfield import grating_brdf as grating_brdf
@@ -33,4 +43,8 @@ from diffopt.fitting.lobe_targets import fit_lobes as fit_lobes
 from diffopt.fitting.lobe_targets import fit_table as fit_table
 from diffopt.fitting.lobes import LobeFit as LobeFit
 from diffopt.fitting.measured import Measured as Measured
+from diffopt.fitting.reflectance import FitSettings as FitSettings
+from diffopt.fitting.reflectance import fit_reflectance as fit_reflectance
+from diffopt.fitting.scan import ScanFit as ScanFit
+from diffopt.fitting.scan import fit_scan as fit_scan
 from diffopt.fitting.solvers import NormalLevenbergMarquardt as NormalLevenbergMarquardt
