@@ -268,19 +268,23 @@ def _verdict(
         return False, f"The fit was interrupted during {interrupted}; this is the best until then."
     if not math.isfinite(loss):
         return False, "The residuals are not finite at the solution."
-    if not settled:
-        return False, (
-            f"The solver stopped after {steps} steps without meeting its tolerance; raise "
-            "max_steps or give a better start."
-        )
-    if bounded:
-        text = "; ".join(f"{name}: {why}" for name, why in bounded.items())
-        return False, f"The solution lies at a bound of its range ({text})."
+    misfit = ""
     if chi2 is not None and chi2 > MISFIT:
-        return False, (
+        misfit = (
             f"The model does not explain the data: chi-squared per value is {chi2:.3g}, with the "
             "noise as given it would be 1."
         )
+    if not settled:
+        stopped = (
+            f"The solver stopped after {steps} steps without meeting its tolerance; raise "
+            "max_steps or give a better start."
+        )
+        return False, f"{stopped} {misfit}".rstrip()
+    if bounded:
+        text = "; ".join(f"{name}: {why}" for name, why in bounded.items())
+        return False, f"The solution lies at a bound of its range ({text})."
+    if misfit:
+        return False, misfit
     if loss > 0.9:
         return False, (
             f"The model explains next to nothing of the data: the misfit is {loss:.2f} of them."

@@ -3,8 +3,8 @@
 import math
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from diffopt.diffraction import Shadowing, model_factors
@@ -127,7 +127,7 @@ def residuals(job: Job, surface: Surface, reach: Reach) -> Float[Array, " N"]:
     return ((best_gain(job, values) * values - job.values) * job.scale).reshape(-1)
 
 
-def rows(job: Job, chosen: Array) -> Job:
+def rows(job: Job, chosen: np.ndarray) -> Job:
     """The job of some of the pairs of directions, by their numbers."""
     leaves = ("fx", "fy", "kappa", "before", "sigma_f", "spread", "values", "scale")
     picked = {name: getattr(job, name)[chosen] for name in leaves}
@@ -139,4 +139,4 @@ def rows(job: Job, chosen: Array) -> Job:
 def largest(job: Job) -> tuple[float, float]:
     """Largest frequency in cycles per micrometre, and largest |kappa|, of a job; on the host."""
     frequency = jnp.sqrt(job.fx**2 + job.fy**2).max()
-    return tuple(float(v) for v in jax.device_get((frequency, jnp.abs(job.kappa).max())))
+    return float(frequency), float(jnp.abs(job.kappa).max())

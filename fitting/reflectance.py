@@ -487,7 +487,7 @@ def _free(
 def _in_plane(measured: Measured) -> bool:
     wave = np.asarray(measured.wi + measured.wo, np.float64)[:, :2]
     _, size, _ = np.linalg.svd(wave, full_matrices=False)
-    return len(size) < 2 or size[1] < 1e-3 * max(size[0], 1e-12)
+    return len(size) < 2 or bool(size[1] < 1e-3 * max(size[0], 1e-12))
 
 
 def check_size(measured: Measured, names: Sequence[str]) -> None:

@@ -50,7 +50,8 @@ def templates(model: Any) -> list[Surface]:
         if isinstance(given, Sequence) and given:
             received = ", ".join(sorted({type(one).__name__ for one in given}))
         raise InputError(
-            f"model must be a name, a class, a surface, or surfaces of one kind; received {received}"
+            "model must be a name, a class, a surface, or surfaces of one kind; "
+            f"received {received}"
         )
     return list(given)
 
