@@ -142,8 +142,7 @@ def test_averaged_steps_have_the_derivatives_of_the_closed_form():
         # The window's transform at the distance of each order from the first.
         apart = 2 * jnp.pi * (m - 1).astype(float) / values[0]
         share = jnp.exp(-0.5 * (0.9 * apart) ** 2)
-        total = (c * share).sum()
-        return total.real**2 + total.imag**2
+        return (c.real * share).sum() ** 2 + (c.imag * share).sum() ** 2
 
     at = jnp.asarray([2.0, 0.12, 0.37])
     # 128 pixels a period: edges between pixels cost 1 / 128 of what they change.
