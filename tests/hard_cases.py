@@ -17,6 +17,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from diffopt.kernels import (
+    bessel,
     dtft,
     ensemble,
     expansions,
@@ -58,6 +59,7 @@ def rows():
     yield from _expansions()
     yield from _directions()
     yield from _ensembles()
+    yield from _bessels()
     yield from _reflectances()
     yield from _colours()
     yield from _splines()
@@ -732,6 +734,52 @@ def _bump(qx, qy, kappa, height, sx, sy, density):
     ).sum()
     mirror = np.exp(2 * density * series(0 * qx, 0 * qy).real)
     return density * np.abs(series(qx, qy)) ** 2 * mirror, mirror
+
+
+def _bessel(z, orders):
+    """Power series in long double; terms up to e^6 cancel to 1e-16 of 1."""
+    out = []
+    for m in range(orders):
+        term = np.prod([z / 2 / LD(k) for k in range(1, m + 1)], initial=LD(1))
+        total = LD(0)
+        for k in range(80):
+            total += term
+            term = -term * (z / 2) ** 2 / (LD(k + 1) * LD(m + k + 1))
+        out.append(total)
+    return tuple(out)
+
+
+def _bessels():
+    nodes = bessel.sequence_nodes(6, 30.0)
+    order = jnp.asarray([[-3], [0], [4], [9]], jnp.int32)
+
+    def sequence(z):
+        return bessel.bessel_sequence(z[None], 6, nodes=nodes)[:, 0]
+
+    def signed(z):
+        return bessel.signed(bessel.bessel_sequence(z[None], 6, nodes=nodes), order)[:, 0]
+
+    def signed_twin(z):
+        j = _bessel(z, 7)
+        return -j[3], j[0], j[4], LD(0)
+
+    for z in (0.0, 1e-8, -2.5, 6.0):
+        # The series loses digits beyond. The phase is rounded to eps z, and a sum of ten cosines to some eps more.
+        yield Hard(
+            "bessel.bessel_sequence", f"z={z}", sequence, (z,), partial(_bessel, orders=7), 60
+        )
+        yield Hard("bessel.signed", f"z={z}", signed, (z,), signed_twin, 60)
+    for m, g in ((1.0, 1e-6), (3.0, 3.0), (40.0, 2.0), (900.0, 1000.0)):
+        yield Hard(
+            "ensemble.log_poisson",
+            f"m={m}, g={g}",
+            ensemble.log_poisson,
+            (m, g),
+            lambda m, g: m * np.log(g) - g - LD(gammaln(float(m) + 1)),
+            # The twin's terms of some thousands are good to 1e-16 of themselves.
+            ulps=3e3,
+            smooth=False,
+        )
 
 
 def _ensembles():
