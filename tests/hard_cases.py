@@ -764,7 +764,7 @@ def _bessels():
         return -j[3], j[0], j[4], LD(0)
 
     for z in (0.0, 1e-8, -2.5, 6.0):
-        # The series loses digits beyond. The phase is rounded to eps z, and a sum of ten cosines to some eps more.
+        # The twin loses digits beyond. The phase is rounded to eps z, a sum of cosines to some eps.
         yield Hard(
             "bessel.bessel_sequence", f"z={z}", sequence, (z,), partial(_bessel, orders=7), 60
         )
