@@ -121,10 +121,8 @@ def _linearised(
     return found, rows, gain, gain * predicted
 
 
-def covariance(
-    rows: Float[np.ndarray, "P N"], variance: float
-) -> tuple[Float[np.ndarray, "P P"], Float[np.ndarray, " P"]]:
-    """Of the parameters, for residuals of one variance; and the singular values of the unit rows.
+def covariance(rows: Float[np.ndarray, "P N"], variance: float) -> Float[np.ndarray, "P P"]:
+    """Of the parameters, for residuals of one variance.
 
     Parameters that nothing depends on have an infinite variance.
     """
@@ -132,16 +130,14 @@ def covariance(
     felt = size > 1e-12 * max(float(size.max(initial=0.0)), 1e-300)
     out = np.zeros((len(rows), len(rows)))
     out[~felt, ~felt] = np.inf
-    singular = np.zeros(len(rows))
     if felt.any():
         # Unit rows, so that units of the parameters do not enter the conditioning.
         unit = rows[felt] / size[felt, None]
         _, values, turned = np.linalg.svd(unit.T, full_matrices=False)
-        singular[felt] = values
         inverse = turned.T @ np.diag(1.0 / np.maximum(values, 1e-12) ** 2) @ turned
         block = variance * inverse / np.outer(size[felt], size[felt])
         out[np.ix_(felt, felt)] = block
-    return out, singular
+    return out
 
 
 def judged(
@@ -184,7 +180,7 @@ def judged(
     freedom = max(found.size - len(names) - job.free, 1)
     chi2 = (loss * scale) ** 2 / freedom if noise_known else None
     variance = 1.0 / scale**2 if noise_known else loss**2 / freedom
-    matrix, _ = covariance(rows, variance)
+    matrix = covariance(rows, variance)
     identifiable = _identifiable(surface, names, matrix, held, bounded)
     converged, reason = _verdict(
         loss, chi2, settled, interrupted, identifiable, names, bounded, steps

@@ -485,9 +485,8 @@ def _signed(move: Move, field: Array) -> Array:
 def _result(run: _Run, start, brdf, root, average, error_rank) -> HeightsFit:
     surface = brdf.surface
     heights = run.made.base + run.change.astype(run.made.base.dtype)
-    middle = tuple(float(c) / d for c, d in zip(surface.center, surface.pixel, strict=True))
     middle = [float(c) / d for c, d in zip(surface.center, surface.pixel, strict=True)]
-    aligned, move = nearest_equal(heights, start.heights, average, (middle[0], middle[1]))
+    aligned, move = nearest_equal(heights, start.heights, average, tuple(middle))
     spread = None
     if error_rank:
         spread = move(

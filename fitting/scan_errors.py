@@ -1,5 +1,6 @@
 """Covariance of parameters fitted to a scan whose noise is correlated."""
 
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -8,9 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from diffopt.fitting.scan_codes import decoded, field
 from diffopt.fitting.scan_register import Scan
-from diffopt.fitting.scan_squares import Pixels, Squares, project
+from diffopt.fitting.scan_squares import Pixels, Squares, heights, project
 from diffopt.gratings import Surface
 
 
@@ -24,14 +24,7 @@ def _gains(
     edges: str,
 ) -> tuple[Array, Array]:
     """Derivatives, and the images that a deviation is summed with, before the matrix."""
-
-    def heights(v: Array) -> Array:
-        return (
-            field(decoded(v, surface, names, pixels.scale), pixels.y, pixels.x, pixel, edges)
-            / pixels.scale
-        )
-
-    _, derivative = jax.linearize(heights, u)
+    _, derivative = jax.linearize(partial(heights, pixels, surface, names, pixel, edges), u)
     jacobian = jax.lax.map(derivative, jnp.eye(u.size, dtype=u.dtype))
     rest = jax.lax.map(lambda row: project(row, pixels)[0] * pixels.weight, jacobian)
     return jacobian, rest

@@ -24,7 +24,7 @@ from jaxtyping import Array, Float
 from diffopt.fitting.scan_codes import decoded, encoded, natural
 from diffopt.fitting.scan_register import Scan
 from diffopt.gratings import Ridges, Roughness, Surface
-from diffopt.gratings.base import kinds
+from diffopt.gratings.base import kinds, seen_in_power
 
 # Cosine parts of the taper, as shares of a side.
 _TAPER = 0.1
@@ -90,14 +90,6 @@ class _Data(eqx.Module):
     scale: Float[Array, ""]
     low: Float[Array, " P"]
     high: Float[Array, " P"]
-
-
-def seen(surface: Surface | None) -> tuple[str, ...]:
-    """Parameters that the covariance of heights depends on."""
-    if surface is None:
-        return ()
-    out = [p for p in kinds(surface) if p.split(".")[-1] not in ("shift", "phase", "offset")]
-    return tuple(out)
 
 
 def noise_covariance(
@@ -264,7 +256,7 @@ def fit(
     count = float(counted.sum())
     deviation = max(float(values.std()), 1e-6)
     side = min(ny * dy, nx * dx)
-    names = seen(surface)
+    names = () if surface is None else seen_in_power(surface)
     least, most = 0.3 * min(dy, dx), 2.0 * side
     # Correlation within a pixel is white noise.
     bounds = [(math.log(_WHITE), 2.0), (-9.0, 2.0), (math.log(max(dy, dx)), math.log(most))]

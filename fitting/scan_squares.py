@@ -8,6 +8,7 @@ lose weight by Cauchy's function, in rounds.
 """
 
 import dataclasses
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -83,6 +84,19 @@ def project(
     return rest - lines[:, None], lines, plane
 
 
+def heights(
+    pixels: Pixels,
+    surface: Surface,
+    names: tuple[str, ...],
+    pixel: tuple[float, float],
+    edges: str,
+    u: Float[Array, " P"],
+) -> Float[Array, "ny nx"]:
+    """Heights of a surface with encoded parameters, over the scale."""
+    moved = decoded(u, surface, names, pixels.scale)
+    return field(moved, pixels.y, pixels.x, pixel, edges) / pixels.scale
+
+
 def residuals(
     u: Float[Array, " P"],
     pixels: Pixels,
@@ -93,18 +107,12 @@ def residuals(
 ) -> tuple[Float[Array, " N"], Float[Array, "P N"]]:
     """Weighted residuals, those of the offsets' prior, and the rows of their Jacobian."""
 
-    def heights(v: Array) -> Array:
-        return (
-            field(decoded(v, surface, names, pixels.scale), pixels.y, pixels.x, pixel, edges)
-            / pixels.scale
-        )
-
     def rows(values: Array) -> Array:
         rest, lines, _ = project(values, pixels)
         prior = jnp.sqrt(pixels.precision) * lines
         return jnp.concatenate([(jnp.sqrt(pixels.weight) * rest).ravel(), prior])
 
-    value, derivative = jax.linearize(heights, u)
+    value, derivative = jax.linearize(partial(heights, pixels, surface, names, pixel, edges), u)
     jacobian = jax.lax.map(lambda t: rows(-derivative(t)), jnp.eye(u.size, dtype=u.dtype))
     return rows(pixels.heights - value), jacobian
 
@@ -130,9 +138,7 @@ def _squares(
     )
     _, jacobian = function(found.value, pixels)
     matrix = jnp.matmul(jacobian, jacobian.T, precision="highest")
-    fitted = field(
-        decoded(found.value, surface, names, pixels.scale), pixels.y, pixels.x, pixel, edges
-    )
+    fitted = heights(pixels, surface, names, pixel, edges, found.value) * pixels.scale
     count = jnp.asarray(found.stats["num_steps"])
     return found.value, fitted, matrix, count, optx.RESULTS.successful == found.result
 
@@ -243,7 +249,7 @@ def fit(
         if not good or left <= 0:
             break
         changes = robust or drift
-        if (k > 0 and moved.max() < max(_STILL, 0.0)) or not changes or spread == 0.0:
+        if (k > 0 and moved.max() < _STILL) or not changes or spread == 0.0:
             settled = True
             break
         if robust:

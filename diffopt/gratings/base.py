@@ -8,7 +8,6 @@ the power spectrum of exp(i kappa h) in closed form, as Gaussians in spatial fre
 import abc
 import dataclasses
 import math
-from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -277,8 +276,3 @@ def require_key(surface: Surface, key: Any) -> Any:
             f"{type(surface).__name__}: heights are drawn at random, pass key=jax.random.key(...)"
         )
     return key
-
-
-def names(surfaces: Sequence[type[Surface]]) -> dict[str, type[Surface]]:
-    """Surfaces by the names that a command line takes."""
-    return {kind.__name__.lower(): kind for kind in surfaces}
