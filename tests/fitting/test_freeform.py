@@ -7,15 +7,11 @@ import pytest
 
 import diffopt as do
 from diffopt.errors import InputError
-from diffopt.fitting import Measured, freeform_priors
-from diffopt.fitting.freeform import fit_heights, nearest_equal
-from diffopt.fitting.freeform_priors import (
-    filtered,
-    forward_settings,
-    prior_root,
-    problem,
-    weighted,
-)
+from diffopt.fitting import Measured, freeform_errors, freeform_priors, freeform_problem
+from diffopt.fitting.freeform import fit_heights
+from diffopt.fitting.freeform_equal import nearest_equal
+from diffopt.fitting.freeform_priors import filtered, prior_root
+from diffopt.fitting.freeform_problem import forward_settings, problem, weighted
 from diffopt.settings import DirectSettings, SeparableSettings
 
 PIXEL, LENGTH, RMS = 0.1, 0.5, 0.05
@@ -324,13 +320,13 @@ class TestErrors:
         colour = colour.reshape(64, 64).T
         moves = freeform_priors.slopes(start.heights)
         held = np.linalg.qr(colour @ np.asarray(moves).reshape(2, 64).T)[0]
-        information = jacobian.T @ jacobian + 2.0 * freeform_priors._HELD * held @ held.T
+        information = jacobian.T @ jacobian + 2.0 * freeform_errors._HELD * held @ held.T
         inverse = np.linalg.inv(2.0 * np.eye(64) + information)
         exact = np.sqrt(np.diag(colour @ inverse @ colour.T)).reshape(8, 8)
 
         def found(rank):
             args = (made, start.heights, root, weight, moves, key)
-            return np.asarray(freeform_priors.posterior_deviation(*args, rank=rank))
+            return np.asarray(freeform_errors.posterior_deviation(*args, rank=rank))
 
         # Full rank but for the mean; differences of prior and gain lose digits.
         np.testing.assert_allclose(found(rank), exact, rtol=1e-5)
@@ -384,13 +380,13 @@ class TestRunning:
 
     def test_nothing_is_traced_again(self, data, monkeypatch):
         traces, at = [], []
-        whole = freeform_priors.Problem.loss
+        whole = freeform_problem.Problem.loss
 
         def counted(self, y):
             traces.append(1)
             return whole(self, y)
 
-        monkeypatch.setattr(freeform_priors.Problem, "loss", counted)
+        monkeypatch.setattr(freeform_problem.Problem, "loss", counted)
         # A number of directions of its own, so that programs are traced here.
         part = Measured(
             WI[:-1], WO[:-1], WAVELENGTHS, data.values[:-1], SIGMA, noise=data.noise[:-1]
@@ -403,13 +399,13 @@ class TestRunning:
 
     def test_deeper_heights_get_more_nodes(self, monkeypatch):
         """A flat start allows for a quarter wavelength; the surface is deeper."""
-        nodes, whole = [], freeform_priors.Problem.residuals
+        nodes, whole = [], freeform_problem.Problem.residuals
 
         def seen(self, heights):
             nodes.append(self.settings.nodes)
             return whole(self, heights)
 
-        monkeypatch.setattr(freeform_priors.Problem, "residuals", seen)
+        monkeypatch.setattr(freeform_problem.Problem, "residuals", seen)
         truth = TRUTH * 0.9
         # A number of directions of its own, so that programs are traced here.
         data = measured(truth).part(slice(0, -2))
