@@ -1,5 +1,6 @@
 """Measured reflectance, checked where it comes in."""
 
+import os
 from collections.abc import Callable
 from typing import Any, Literal, get_args
 
@@ -134,6 +135,24 @@ class Measured(eqx.Module):
     def astype(self, dtype: Any) -> "Measured":
         """With another floating-point type."""
         return jax.tree.map(lambda leaf: leaf.astype(dtype), self)
+
+    def save(self, path: str | os.PathLike) -> None:
+        """Write to .npz or .csv, see `diffopt.fitting.measured_files.save`."""
+        from diffopt.fitting import measured_files
+
+        data: Any = self
+        measured_files.save(data, path)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike, **stated: Any) -> "Measured":
+        """Read what `save` wrote, or another .npz or .csv with what it does not state.
+
+        See `diffopt.fitting.measured_files.load`.
+        """
+        from diffopt.fitting import measured_files
+
+        found: Any = measured_files.load(path, **stated)
+        return found
 
     def part(self, rows: Any) -> "Measured":
         """Some of the rows (pairs of directions), by their numbers."""
