@@ -89,6 +89,11 @@ class ScanFit(eqx.Module):
     goodness
         Share of the variance about plane and lines that the model explains; for random
         models all but the noise.
+    curves
+        Loss of each model by name, the least of its round up to each trial step, [steps].
+        Least squares: mean over the pixels of weighted squared residuals, um^2; it jumps where
+        a round sets weights anew and where all pixels take the place of averaged ones. Random
+        models: -2 log likelihood, from the start that led furthest.
     """
 
     model: Surface
@@ -103,6 +108,7 @@ class ScanFit(eqx.Module):
     reason: str = eqx.field(static=True)
     identifiable: dict[str, str] = eqx.field(static=True)
     goodness: float
+    curves: dict[str, Float[np.ndarray, " _"]]
 
     @property
     def errors(self) -> dict[str, float]:
@@ -130,6 +136,11 @@ def fit_scan(
     to 192 on a side at most; n counts the independent numbers in it. Standard errors allow for
     the correlation of the noise. A skewness that Gaussian roughness does not have speaks for
     bumps.
+
+    On a scan of more than 192 pixels on a side models compete on averaged pixels, and only
+    those within 10 of the best criterion are fitted to all of them, until the best has been:
+    the criterion is that of averaged pixels either way. The best is always such a one, unless
+    its steps ended early.
 
     Parameters
     ----------
@@ -186,6 +197,7 @@ def fit_scan(
             if progress is not None:
                 progress(name, k, len(wanted))
             found.append(scan_candidates.run(name, start, setting, found))
+        _refine(found, setting)
     except KeyboardInterrupt:
         stopped = True
     asked = [c for c in found if c.model is not None]
@@ -194,6 +206,19 @@ def fit_scan(
             raise KeyboardInterrupt
         raise InputError(f"scan: no model could be fitted: {found[0].reason}")
     return _result(found, asked, setting, scan, stopped, len(wanted))
+
+
+def _refine(found: list[Candidate], setting: Setting) -> None:
+    """Fit to all pixels what can still be the best; each takes the place of what it was."""
+    while True:
+        limit = min((c.criterion for c in found if c.model is not None), default=-math.inf)
+        coarse = [
+            k for k, c in enumerate(found) if c.coarse is not None and c.criterion < limit + _STRONG
+        ]
+        if not coarse:
+            return
+        best = min(coarse, key=lambda k: found[k].criterion)
+        found[best] = scan_candidates.refined(found[best], setting)
 
 
 def _result(
@@ -248,6 +273,8 @@ def _result(
         reason=reason,
         identifiable=identifiable(best),
         goodness=best.goodness,
+        # Of two fits of one model the better one.
+        curves={c.name: c.curve for c in reversed(order) if c.model is not None},
     )
 
 

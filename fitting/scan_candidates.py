@@ -143,12 +143,18 @@ def _squares(
 
 
 def _best(starts: list[Surface], setting: Setting) -> scan_squares.Squares:
-    """Fit from each start to averaged pixels, and from the best end to all."""
+    """Fit from each start to averaged pixels, and the best end."""
     found = [_squares(setting.coarse, start, setting, setting.max_steps) for start in starts]
-    best = min(found, key=lambda f: float(np.abs(f.rest[setting.coarse.known]).mean()))
-    if setting.factor == 1 or not best.converged:
-        return best
-    return _squares(setting.scan, best.surface, setting, setting.max_steps)
+    return min(found, key=lambda f: float(np.abs(f.rest[setting.coarse.known]).mean()))
+
+
+def refined(candidate: Candidate, setting: Setting) -> Candidate:
+    """The model fitted to all pixels from its fit to averaged ones."""
+    start = candidate.coarse
+    assert start is not None
+    fine = _squares(setting.scan, start.surface, setting, setting.max_steps)
+    fine = dataclasses.replace(fine, curve=np.concatenate([start.curve, fine.curve]))
+    return _scored(candidate.name, fine, setting)
 
 
 def _scored(
@@ -209,6 +215,8 @@ def _scored(
         parameters=count,
         rms=float(residual[known].std()),
         goodness=explained,
+        curve=found.curve,
+        coarse=None if full or not found.converged or nuisances else found,
     )
 
 
@@ -273,10 +281,13 @@ def _disc(setting: Setting) -> Candidate:
     except InputError as error:
         return Candidate("compactdisc", f"The scan shows no tracks: {error}.")
     found = _squares(setting.coarse, pits, setting, setting.max_steps)
+    curve = [found.curve]
     for _ in range(2):
         assert isinstance(found.surface, scan_disc.Pits)
         better = scan_disc.ends(found.surface, setting.coarse, found.rest)
         found = _squares(setting.coarse, better, setting, setting.max_steps, found.precision)
+        curve.append(found.curve)
+    found = dataclasses.replace(found, curve=np.concatenate(curve))
     scored = _scored("compactdisc", found, setting, 2 * len(pits.track))
     last = found.surface
     assert isinstance(last, scan_disc.Pits)

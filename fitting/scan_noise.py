@@ -66,6 +66,8 @@ class Field:
         Of the surface's parameters.
     converged
         Whether the maximum was reached.
+    curve
+        [steps], least deviance up to each trial step from the start that was taken.
     """
 
     surface: Surface | None
@@ -76,6 +78,7 @@ class Field:
     count: float
     covariance: np.ndarray
     converged: bool
+    curve: np.ndarray
 
 
 class _Data(eqx.Module):
@@ -151,8 +154,12 @@ def _expected(u: Array, data: _Data, surface: Surface | None, names: tuple[str, 
 @eqx.filter_jit
 def _maximise(
     u: Array, data: _Data, surface: Surface | None, names: tuple[str, ...], steps: Array
-) -> tuple[Array, Array, Array, Array]:
-    """Fisher's scoring with damping: parameters, deviance, information, whether it ended."""
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Fisher's scoring with damping.
+
+    Parameters, deviance, information, whether it ended, and the least deviance up to each of at
+    most `_STEPS` steps, NaN beyond the last.
+    """
 
     def log_spectrum(v: Array) -> Array:
         return jnp.log(_expected(v, data, surface, names))
@@ -170,7 +177,7 @@ def _maximise(
     tolerance = 1e-2 if u.dtype == jnp.float64 else 1e-1
 
     def body(state: Any) -> Any:
-        v, value, slope, matrix, damping, k, _ = state
+        v, value, slope, matrix, damping, k, _, curve = state
         # A parameter at its bound that wants to go beyond is held.
         held = ((v <= data.low) & (slope > 0)) | ((v >= data.high) & (slope < 0))
         move = (~held).astype(v.dtype)
@@ -186,11 +193,14 @@ def _maximise(
         kept = jax.tree.map(
             lambda a, b: jnp.where(better, a, b), (trial, *new), (v, value, slope, matrix)
         )
-        return (*kept, jnp.where(better, damping / 5.0, damping * 6.0), k + 1, done)
+        curve = curve.at[k].set(kept[1])
+        return (*kept, jnp.where(better, damping / 5.0, damping * 6.0), k + 1, done, curve)
 
-    start = (u, *deviance(u), jnp.asarray(1e-2, u.dtype), jnp.zeros((), jnp.int32), False)
+    first = deviance(u)
+    curve = jnp.full((_STEPS,), jnp.nan, first[0].dtype)
+    start = (u, *first, jnp.asarray(1e-2, u.dtype), jnp.zeros((), jnp.int32), False, curve)
     out = jax.lax.while_loop(lambda s: ~s[6] & (s[5] < steps), body, start)
-    return out[0], out[1], out[3], out[6]
+    return out[0], out[1], out[3], out[6], out[7]
 
 
 def _taper(n: int) -> np.ndarray:
@@ -236,7 +246,7 @@ def fit(
     starts
         Of the surface; the best end is taken.
     max_steps
-        Of each start.
+        Of each start, 80 at most.
     """
     (ny, nx), (dy, dx) = rest.shape, scan.pixel
     lag_y, weight_y, taper_y, share_y = _axis(ny, dy)
@@ -293,12 +303,12 @@ def fit(
                 u += list(encoded(start, names, scan.scale))
             u = jnp.asarray(np.clip(u, low, high), dtype)
             shape = None if start is None else jax.tree.map(lambda a: jnp.asarray(a, dtype), start)
-            steps = jnp.asarray(max_steps, jnp.int32)
+            steps = jnp.asarray(min(max_steps, _STEPS), jnp.int32)
             found = [np.asarray(a) for a in _maximise(u, data, shape, names, steps)]
             if np.isfinite(found[1]) and (best is None or found[1] < best[0][1]):
                 best = (found, shape)
     assert best is not None
-    (u, value, matrix, done), shape = best
+    (u, value, matrix, done, curve), shape = best
     u = np.asarray(u, float)
     fitted, covariance = None, np.zeros((0, 0))
     if shape is not None:
@@ -320,7 +330,18 @@ def fit(
         "rough": float(fitted.rms) if isinstance(fitted, Roughness) else 0.0,
         "rough_length": float(fitted.correlation_length) if isinstance(fitted, Roughness) else 0.0,
     }
-    return Field(fitted, names, u, noise, float(value), count, covariance, bool(done))
+    curve = np.asarray(curve, float)
+    return Field(
+        surface=fitted,
+        names=names,
+        u=u,
+        noise=noise,
+        deviance=float(value),
+        count=count,
+        covariance=covariance,
+        converged=bool(done),
+        curve=curve[~np.isnan(curve)],
+    )
 
 
 def _keep_ridges(

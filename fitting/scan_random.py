@@ -49,6 +49,7 @@ def _random(name: str, model: Surface, field: Field, setting: Setting, count: in
         rms=noise,
         goodness=max(1.0 - noise**2 / total, 0.0),
         deterministic=False,
+        curve=field.curve,
     )
 
 
@@ -110,6 +111,7 @@ def bumps(setting: Setting) -> Candidate:
         names=("height", "size", "density"),
         covariance=slope @ inner @ slope.T,
         deviance=field.deviance - gain,
+        curve=field.curve - gain,
     )
     return _random("bumps", model, changed, setting, 3)
 

@@ -9,6 +9,7 @@ import numpy as np
 from diffopt.fitting import scan_noise
 from diffopt.fitting.scan_noise import Field
 from diffopt.fitting.scan_register import Scan
+from diffopt.fitting.scan_squares import Squares
 from diffopt.gratings import Surface
 
 
@@ -30,7 +31,10 @@ class Setting:
 
 @dataclasses.dataclass(frozen=True)
 class Candidate:
-    """A fitted model; `ScanFit` says what the parts are. Without a model: why there is none."""
+    """A fitted model; `ScanFit` says what the parts are. Without a model: why there is none.
+
+    `coarse` is the fit to averaged pixels, of a model that was not fitted to all of them.
+    """
 
     name: str
     reason: str
@@ -47,6 +51,8 @@ class Candidate:
     rms: float = math.nan
     goodness: float = 0.0
     deterministic: bool = True
+    curve: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0))
+    coarse: Squares | None = None
 
     @property
     def title(self) -> str:
@@ -73,5 +79,5 @@ def law(rest: np.ndarray, surface: Surface | None, setting: Setting, starts: Any
         drift=setting.drift,
         dtype=setting.dtype,
         starts=starts,
-        max_steps=min(setting.max_steps, 80),
+        max_steps=setting.max_steps,
     )

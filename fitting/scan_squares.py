@@ -15,12 +15,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array, Float
 
 from diffopt.fitting.scan_codes import decoded, encoded, field, free
+from diffopt.fitting.scan_descent import descended
 from diffopt.fitting.scan_register import Scan
-from diffopt.fitting.solvers import NormalLevenbergMarquardt
 from diffopt.gratings import Surface
 from diffopt.gratings.base import kinds
 
@@ -125,22 +124,19 @@ def _squares(
     names: tuple[str, ...],
     pixel: tuple[float, float],
     edges: str,
+    left: Array,
     steps: int,
-) -> tuple[Array, Array, Array, Array, Array]:
+) -> tuple[Array, Array, Array, Array, Array, Array]:
     tolerance = 1e-7 if u.dtype == jnp.float64 else 1e-4
 
     def function(v: Array, args: Pixels) -> tuple[Array, Array]:
         return residuals(v, args, surface, names, pixel, edges)
 
-    solver = NormalLevenbergMarquardt(tolerance, tolerance)
-    found = optx.least_squares(
-        function, solver, u, pixels, has_aux=True, max_steps=steps, throw=False
+    u, matrix, count, ended, losses = descended(
+        function, u, pixels, left, tolerance=tolerance, steps=steps
     )
-    _, jacobian = function(found.value, pixels)
-    matrix = jnp.matmul(jacobian, jacobian.T, precision="highest")
-    fitted = heights(pixels, surface, names, pixel, edges, found.value) * pixels.scale
-    count = jnp.asarray(found.stats["num_steps"])
-    return found.value, fitted, matrix, count, optx.RESULTS.successful == found.result
+    fitted = heights(pixels, surface, names, pixel, edges, u) * pixels.scale
+    return u, fitted, matrix, count, ended, losses
 
 
 @eqx.filter_jit
@@ -174,6 +170,9 @@ class Squares:
         Of Levenberg and Marquardt in all rounds, and whether they came to an end.
     inflation
         Variance that the loss of weight adds, um^2.
+    curve
+        [steps], least loss of the round up to each trial step: mean over the known pixels of
+        the weighted squared residuals, um^2, those of the prior of line offsets among them.
     """
 
     surface: Surface
@@ -188,6 +187,7 @@ class Squares:
     steps: int
     converged: bool
     inflation: float
+    curve: np.ndarray
 
 
 def fit(
@@ -231,17 +231,18 @@ def fit(
     as_array = {"y": scan.y, "x": scan.x, "scale": scale, "heights": scan.heights / scale}
     fixed = {name: jnp.asarray(value, dtype) for name, value in as_array.items()}
     left, steps, settled = max_steps, 0, False
-    matrix = np.eye(len(names))
+    matrix, curve = np.eye(len(names)), []
     pixels = fitted = None
     for k in range(_ROUNDS):
         pixels = Pixels(
             weight=jnp.asarray(weight, dtype), precision=jnp.asarray(lam, dtype), **fixed
         )
         before = np.asarray(u, float)
-        u, fitted, matrix, count, good = _squares(
-            u, pixels, surface, names, scan.pixel, edges, max_steps
+        u, fitted, matrix, count, good, losses = _squares(
+            u, pixels, surface, names, scan.pixel, edges, jnp.asarray(left, jnp.int32), max_steps
         )
         steps, left = steps + int(count), left - int(count)
+        curve.append(np.asarray(losses, float)[: int(count)])
         rest, lines, _ = (np.asarray(part, float) for part in _rest(fitted, pixels))
         spread = _deviation(rest[scan.known])
         error = spread / np.sqrt(np.maximum(np.diag(np.asarray(matrix, float)), 1e-30))
@@ -275,6 +276,8 @@ def fit(
         steps=steps,
         converged=settled,
         inflation=_inflation(rest[scan.known]) * scale**2 if robust else 0.0,
+        # Half the sum to the mean.
+        curve=np.concatenate(curve) * 2.0 * scale**2 / scan.known.sum(),
     )
 
 

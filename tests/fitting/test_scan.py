@@ -9,6 +9,7 @@ import pytest
 
 import diffopt as do
 from diffopt.errors import InputError
+from diffopt.fitting import scan_noise, scan_squares
 from diffopt.fitting.scan import fit_scan
 from diffopt.gratings import (
     Binary,
@@ -85,6 +86,46 @@ def test_lines_and_residual_are_those_of_the_scan(rng):
     assert fit.noise["white"] == pytest.approx(0.002, rel=0.15)
     # Standard deviation from 64 draws: 9 %; three of it.
     assert fit.lines.std() == pytest.approx(0.01, rel=0.3)
+
+
+def test_curves_end_at_what_is_returned(rng):
+    scan = scanned(TRUE["sinusoidal"], rng, lines=0.0, missing=0.0, spikes=0)
+    fit = fit_scan(scan, ["sinusoidal", "ridges"], drift=False, robust=False)
+    # Compared with, so it has a curve as well.
+    assert set(fit.curves) == {"sinusoidal", "ridges", "roughness"}
+    for curve in fit.curves.values():
+        assert len(curve) > 2
+        assert (np.diff(curve) <= 0).all()
+    # Without weights and offsets the loss is the mean square of the residual; sums of 4,096.
+    square = float(np.mean(np.asarray(fit.residual) ** 2))
+    assert fit.curves["sinusoidal"][-1] == pytest.approx(square, rel=1e-9)
+    # Rounds of a robust fit start anew.
+    robust = fit_scan(scan, "sinusoidal")
+    steps = int(robust.reason.split()[-2])
+    assert len(robust.curves["sinusoidal"]) == steps
+
+
+def test_only_what_may_lead_is_fitted_to_all_pixels(rng, monkeypatch):
+    """On 2 x 2 averages of 128 x 128 pixels, of which the likelihood takes 64 x 64 here."""
+    monkeypatch.setattr(scan_noise, "MOST", 64)
+    true, seen = TRUE["sinusoidal"], []
+    h = np.asarray(true.heights((128, 128), PIXEL, edges="averaged"))
+    whole = scan_squares.fit
+
+    def counted(scan, surface, **options):
+        seen.append((surface.title, scan.heights.shape[0]))
+        return whole(scan, surface, **options)
+
+    monkeypatch.setattr(scan_squares, "fit", counted)
+    scan = do.Heightfield(h + 0.002 * rng.normal(size=h.shape), PIXEL)
+    fit = fit_scan(scan, ["sinusoidal", "binary"])
+    assert {title for title, n in seen if n == 64} == {"sinusoidal", "binary"}
+    assert {title for title, n in seen if n == 128} == {"sinusoidal"}
+    assert fit.ranking[0].name == "sinusoidal"
+    assert fit.converged, fit.reason
+    # The residual has the white noise of single pixels: 1 / sqrt(2 128^2) = 0.6 %; four of it.
+    assert np.std(np.asarray(fit.residual)) == pytest.approx(0.002, rel=0.025)
+    assert max(map(abs, pulls(fit, true).values())) < 4.0
 
 
 def test_without_drift_there_are_no_lines(rng):

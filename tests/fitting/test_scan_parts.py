@@ -127,6 +127,8 @@ def test_likelihood_recovers_the_noise(rng):
     scan = scan_register.prepared(h, (0.05, 0.05))
     found = scan_noise.fit(scan.flat, scan, None, drift=True, dtype=jnp.float64)
     assert found.converged
+    assert found.curve[-1] == found.deviance
+    assert (np.diff(found.curve) <= 0).all()
     # 9,216 pixels; 96 lines: 7 %; some 80 patches: 11 %. Three of each.
     assert found.noise["white"] == pytest.approx(0.01, rel=0.04)
     assert found.noise["lines"] == pytest.approx(0.008, rel=0.25)
