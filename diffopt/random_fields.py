@@ -1,4 +1,4 @@
-"""Parts of random surfaces that repeat periodically, for `diffopt.samples`."""
+"""Parts of random surfaces that repeat periodically."""
 
 import math
 from typing import Any
@@ -12,34 +12,60 @@ from diffopt import checks
 from diffopt.errors import InputError
 
 
-def periodic_gaussians(
-    place: Float[np.ndarray, " count"], n: int, step: float, sigma: float
-) -> Float[np.ndarray, "count n"]:
-    """Gaussians of maximum 1 along one axis, wrapped around its ends.
+def bumps(
+    key: Any,
+    y: Float[Array, " ny"],
+    x: Float[Array, " nx"],
+    pixel: tuple[float, float],
+    sizes: tuple[Any, Any],
+    density: float,
+) -> tuple[Float[Array, "ny nx"], int]:
+    """Sum of Gaussians of maximum 1 about points of a Poisson process, and their number.
+
+    The sum repeats with the grid and is differentiable in the sizes; how many there are is
+    drawn on the host.
 
     Parameters
     ----------
-    place
-        Their centres as shares of the side, in [0, 1).
-    n, step
-        Samples along the side and their distance, micrometres.
-    sigma
-        Standard deviation, micrometres.
-
-    Returns
-    -------
-    numpy.ndarray
-        [count, n], float64.
+    key
+        JAX random key.
+    y, x, pixel
+        Positions of rows and columns, (dy, dx) apart, micrometres.
+    sizes
+        Standard deviations along y and x, micrometres.
+    density
+        Points on a square micrometre, 0 or more.
     """
-    length = n * step
-    offset = (np.arange(n) * step)[None, :] - place[:, None] * length
-    nearest = (offset + length / 2) % length - length / 2
-    # Images more than 9 sigma away add less than 3e-18.
-    images = max(math.ceil(9 * sigma / length - 0.5), 0)
-    shifts = np.arange(-images, images + 1) * length
+    lengths = (y.size * pixel[0], x.size * pixel[1])
+    # A shape, so it is drawn now even where a program is traced.
+    with jax.ensure_compile_time_eval():
+        key_count, key_place = jax.random.split(key)
+        count = int(jax.random.poisson(key_count, density * lengths[0] * lengths[1]))
+    place = jax.random.uniform(key_place, (count, 2), y.dtype)
+    along_y, along_x = (
+        _periodic_gaussians(at, place[:, k] * lengths[k], lengths[k], sizes[k])
+        for k, at in enumerate((y, x))
+    )
+    return jnp.matmul(along_y.T, along_x, precision="highest"), count
+
+
+def _periodic_gaussians(
+    at: Float[Array, " n"], centre: Float[Array, " count"], length: float, size: Any
+) -> Float[Array, "count n"]:
+    """Gaussians of maximum 1 along an axis that closes on itself after a length."""
+    known = checks.concrete(size)
+    # Images more than 9 sigma away add less than 3e-18; a traced size is taken to be below a
+    # quarter of the side.
+    images = 2 if known is None else max(math.ceil(9 * float(known) / length - 0.5), 0)
+    offset = at[None, :] - centre[:, None]
+    nearest = offset - length * jnp.round(offset / length)
+    size = jnp.asarray(size, at.dtype)
     return sum(
-        (np.exp(-(((nearest + shift) / sigma) ** 2) / 2) for shift in shifts),
-        start=np.zeros_like(nearest),
+        (
+            jnp.exp(-0.5 * ((nearest + shift * length) / size) ** 2)
+            for shift in range(-images, images + 1)
+        ),
+        start=jnp.zeros_like(nearest),
     )
 
 

@@ -16,7 +16,7 @@ from diffopt import discs, gratings
 from diffopt.errors import InputError
 from diffopt.heightfield import Heightfield, Number, Provenance
 from diffopt.io.record import pair
-from diffopt.random_fields import gaussian_field, periodic_gaussians
+from diffopt.random_fields import bumps, gaussian_field
 
 Key = Any
 Pixel = Number | tuple[Number, Number]
@@ -190,15 +190,10 @@ def random_bumps(
     sigma_y, sigma_x = pair(sigma, "sigma")
     if not 0 <= density < float("inf"):
         raise InputError(f"density={density}: expected bumps on a square micrometre, 0 or more")
-    (ny, nx), (dy, dx) = shape, pair(pixel, "pixel")
-    length_y, length_x = ny * dy, nx * dx
-    key_count, key_place = jax.random.split(key)
-    count = int(jax.random.poisson(key_count, density * length_y * length_x))
-    place = np.asarray(jax.random.uniform(key_place, (count, 2)), dtype=np.float64)
-    along_y = periodic_gaussians(place[:, 0], ny, dy, sigma_y)
-    along_x = periodic_gaussians(place[:, 1], nx, dx, sigma_x)
-    heights = jnp.asarray(height * along_y.T @ along_x, _dtype())
-    return _heightfield(heights, pixel, "random bumps", f"{count} bumps")
+    step = pair(pixel, "pixel")
+    y, x = (jnp.arange(n, dtype=_dtype()) * d for n, d in zip(shape, step, strict=True))
+    field, count = bumps(key, y, x, step, (sigma_y, sigma_x), float(density))
+    return _heightfield(height * field, pixel, "random bumps", f"{count} bumps")
 
 
 def gaussian_roughness(

@@ -148,8 +148,8 @@ def fit_scan(
         At least 16 x 16 pixels, 30 % of them known.
     model
         ``"auto"``; the name or class of a surface of `diffopt.gratings`; an instance, which
-        is the start; or a sequence of these. ``"auto"`` is sinusoidal, binary, blazed,
-        trapezoid, crossed, ridges, compactdisc, roughness and bumps. For ridges of another
+        is the start; or a sequence of these. ``"auto"`` is sinusoidal, blazed, binary,
+        trapezoid, crossed, ridges, roughness, bumps and compactdisc. For ridges of another
         profile than a sinusoid pass an instance.
     drift
         Whether scan lines (rows) have offsets of their own.
@@ -256,7 +256,7 @@ def _result(
         )
         for c in order
     )
-    assert best.model is not None
+    assert isinstance(best.model, Surface)
     # Spikes are filled for the fit, not for the residual.
     spikes = np.asarray(scan.heights, np.float64) - setting.scan.heights
     residual = np.where(setting.scan.missing, np.nan, best.residual + spikes)

@@ -17,6 +17,7 @@ from diffopt.fitting import (
     scan_noise,
     scan_register,
     scan_squares,
+    templates,
 )
 from diffopt.fitting.scan_convention import canonical, transformed
 from diffopt.fitting.scan_noise import Field
@@ -26,23 +27,25 @@ from diffopt.fitting.scan_setting import Candidate, Setting, law
 from diffopt.gratings import (
     Binary,
     Blazed,
-    Bumps,
     CompactDisc,
     Crossed,
     Grating,
-    Ridges,
+    Parametric,
     Roughness,
     Sinusoidal,
     Surface,
-    Trapezoid,
 )
 
-MODELS: dict[str, type[Surface]] = {
+# One scan says nothing about these.
+_NOT_OF_ONE_SCAN = ("jittered",)
+_KINDS = {
     kind.__name__.lower(): kind
-    for kind in (
-        Sinusoidal, Binary, Blazed, Trapezoid, Crossed, Ridges, CompactDisc, Roughness, Bumps
-    )
-}  # fmt: skip
+    for kind in vars(gratings).values()
+    if isinstance(kind, type) and issubclass(kind, Surface)
+}
+MODELS: dict[str, type[Surface]] = {
+    name: _KINDS[name] for name in templates.NAMED if name not in _NOT_OF_ONE_SCAN
+}
 # A second start is tried if it explains this share of what the first does.
 _RIVAL = 0.7
 
@@ -128,7 +131,7 @@ def _starts(kind: type[Grating], setting: Setting) -> list[Surface]:
 
 
 def _squares(
-    scan: Scan, start: Surface, setting: Setting, steps: int, precision: float | None = None
+    scan: Scan, start: Parametric, setting: Setting, steps: int, precision: float | None = None
 ) -> scan_squares.Squares:
     return scan_squares.fit(
         scan,
@@ -142,7 +145,7 @@ def _squares(
     )
 
 
-def _best(starts: list[Surface], setting: Setting) -> scan_squares.Squares:
+def _best(starts: Sequence[Parametric], setting: Setting) -> scan_squares.Squares:
     """Fit from each start to averaged pixels, and the best end."""
     found = [_squares(setting.coarse, start, setting, setting.max_steps) for start in starts]
     return min(found, key=lambda f: float(np.abs(f.rest[setting.coarse.known]).mean()))
@@ -222,7 +225,7 @@ def _scored(
 
 def _conventional(
     found: scan_squares.Squares, covariance: np.ndarray
-) -> tuple[Surface, np.ndarray]:
+) -> tuple[Parametric, np.ndarray]:
     surface = found.surface
     if not isinstance(surface, Crossed):
         values, change = canonical(surface)
@@ -238,7 +241,7 @@ def _conventional(
     return surface.replaced(all_values), transformed(covariance, found.names, all_change)
 
 
-def _with_offset(model: Surface, constant: float) -> Surface:
+def _with_offset(model: Parametric, constant: float) -> Parametric:
     if isinstance(model, Crossed):
         both = float(model.get("first.offset")) + float(model.get("second.offset")) + constant
         return model.replaced({"first.offset": both, "second.offset": 0.0})

@@ -1,6 +1,7 @@
 """Parameters of a surface as numbers without bounds, and its heights at rows and columns."""
 
 import math
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -8,16 +9,18 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffopt.fitting.scan_disc import Pits
-from diffopt.gratings import Crossed, Grating, Surface
+from diffopt.gratings import Parametric, Surface
 from diffopt.gratings.base import kinds
 
+_P = TypeVar("_P", bound=Parametric)
 
-def free(surface: Surface) -> tuple[str, ...]:
+
+def free(surface: Parametric) -> tuple[str, ...]:
     """Parameters that heights depend on beyond a plane: all but offsets."""
     return tuple(path for path in kinds(surface) if path.split(".")[-1] != "offset")
 
 
-def encoded(surface: Surface, names: tuple[str, ...], scale: float) -> np.ndarray:
+def encoded(surface: Parametric, names: tuple[str, ...], scale: float) -> np.ndarray:
     """Numbers of order one without bounds: log of lengths, log odds of shares."""
     out, found = [], kinds(surface)
     for name in names:
@@ -34,8 +37,8 @@ def encoded(surface: Surface, names: tuple[str, ...], scale: float) -> np.ndarra
 
 
 def decoded(
-    u: Float[Array, " P"], surface: Surface, names: tuple[str, ...], scale: Float[Array, ""]
-) -> Surface:
+    u: Float[Array, " P"], surface: _P, names: tuple[str, ...], scale: Float[Array, ""]
+) -> _P:
     """The surface with parameters from `encoded`."""
     found, values = kinds(surface), {}
     for k, name in enumerate(names):
@@ -49,7 +52,7 @@ def decoded(
     return surface.replaced(values)
 
 
-def natural(u: np.ndarray, surface: Surface, names: tuple[str, ...], scale: float) -> np.ndarray:
+def natural(u: np.ndarray, surface: Parametric, names: tuple[str, ...], scale: float) -> np.ndarray:
     """Derivatives of the parameters to their encoded numbers."""
     found, out = kinds(surface), []
     for name in names:
@@ -66,17 +69,15 @@ def natural(u: np.ndarray, surface: Surface, names: tuple[str, ...], scale: floa
 
 
 def field(
-    surface: Surface,
+    surface: Parametric,
     y: Float[Array, " ny"],
     x: Float[Array, " nx"],
     pixel: tuple[float, float],
     edges: str,
 ) -> Float[Array, "ny nx"]:
     """Heights at rows and columns, of a grating, two of them crossed, or pits."""
-    if isinstance(surface, Crossed):
-        return field(surface.first, y, x, pixel, edges) + field(surface.second, y, x, pixel, edges)
     if isinstance(surface, Pits):
         return surface.at(y, x, pixel)
-    assert isinstance(surface, Grating)
-    across = jnp.cos(surface.angle) * x[None, :] + jnp.sin(surface.angle) * y[:, None]
-    return surface.at(across, pixel, edges)
+    assert isinstance(surface, Surface)
+    assert not surface.RANDOM
+    return surface.sampled(y, x, pixel, edges, None)

@@ -10,10 +10,10 @@ import math
 import numpy as np
 
 from diffopt.fitting.scan_disc import Pits
-from diffopt.gratings import Binary, Blazed, Grating, Sinusoidal, Surface, Trapezoid
+from diffopt.gratings import Binary, Blazed, Grating, Parametric, Sinusoidal, Trapezoid
 
 
-def canonical(grating: Surface) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
+def canonical(grating: Parametric) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
     """Values that follow the conventions, and their derivatives to the given ones.
 
     Derivatives are given where they differ from those of an unchanged parameter.

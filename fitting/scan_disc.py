@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 from diffopt import discs
 from diffopt.errors import InputError
 from diffopt.fitting.scan_register import Scan
-from diffopt.gratings.base import Components, Reach, Surface, parameters
+from diffopt.gratings.base import Parametric, parameters
 
 # Pits smaller than this share of the largest are dust.
 _DUST = 0.1
@@ -25,7 +25,7 @@ _FEWEST = 4
 _ALIGNED = 0.7
 
 
-class Pits(Surface):
+class Pits(Parametric):
     """Pits at known places on tracks; parameters as of `diffopt.gratings.CompactDisc`.
 
     Attributes
@@ -81,16 +81,6 @@ class Pits(Surface):
         distance = jnp.sqrt(jnp.maximum(square, 1e-12))
         wall = jnp.sqrt((width * self.wall) ** 2 + pixel[0] * pixel[1])
         return -self.depth * ndtr(math.sqrt(2.0 * math.pi) * (0.5 * width - distance) / wall)
-
-    def heights(
-        self, shape: tuple[int, int], pixel: Any, *, edges: str = "sharp", key: Any = None
-    ) -> Float[Array, "ny nx"]:
-        """See `at`."""
-        raise NotImplementedError
-
-    def components(self, fx: Array, fy: Array, kappa: Array, reach: Reach) -> Components:
-        """Not of this scan's own pits: see `diffopt.gratings.CompactDisc`."""
-        raise NotImplementedError
 
 
 def find(scan: Scan, vectors: list[tuple[float, float]]) -> Pits:

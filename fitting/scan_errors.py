@@ -11,14 +11,14 @@ from jaxtyping import Array
 
 from diffopt.fitting.scan_register import Scan
 from diffopt.fitting.scan_squares import Pixels, Squares, heights, project
-from diffopt.gratings import Surface
+from diffopt.gratings import Parametric
 
 
 @eqx.filter_jit
 def _gains(
     u: Array,
     pixels: Pixels,
-    surface: Surface,
+    surface: Parametric,
     names: tuple[str, ...],
     pixel: tuple[float, float],
     edges: str,

@@ -10,7 +10,7 @@ from diffopt.fitting import scan_noise
 from diffopt.fitting.scan_noise import Field
 from diffopt.fitting.scan_register import Scan
 from diffopt.fitting.scan_squares import Squares
-from diffopt.gratings import Surface
+from diffopt.gratings import Parametric, Surface
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Candidate:
     name: str
     reason: str
     converged: bool = False
-    model: Surface | None = None
+    model: Parametric | None = None
     names: tuple[str, ...] = ()
     covariance: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
     tilt: tuple[float, float] = (0.0, 0.0)

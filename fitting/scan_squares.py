@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from diffopt.fitting.scan_codes import decoded, encoded, field, free
 from diffopt.fitting.scan_descent import descended
 from diffopt.fitting.scan_register import Scan
-from diffopt.gratings import Surface
+from diffopt.gratings import Parametric
 from diffopt.gratings.base import kinds
 
 # Cauchy's constant: 95 % of the efficiency of least squares under Gaussian noise.
@@ -85,7 +85,7 @@ def project(
 
 def heights(
     pixels: Pixels,
-    surface: Surface,
+    surface: Parametric,
     names: tuple[str, ...],
     pixel: tuple[float, float],
     edges: str,
@@ -99,7 +99,7 @@ def heights(
 def residuals(
     u: Float[Array, " P"],
     pixels: Pixels,
-    surface: Surface,
+    surface: Parametric,
     names: tuple[str, ...],
     pixel: tuple[float, float],
     edges: str,
@@ -120,7 +120,7 @@ def residuals(
 def _squares(
     u: Array,
     pixels: Pixels,
-    surface: Surface,
+    surface: Parametric,
     names: tuple[str, ...],
     pixel: tuple[float, float],
     edges: str,
@@ -175,7 +175,7 @@ class Squares:
         the weighted squared residuals, um^2, those of the prior of line offsets among them.
     """
 
-    surface: Surface
+    surface: Parametric
     names: tuple[str, ...]
     u: np.ndarray
     matrix: np.ndarray
@@ -192,7 +192,7 @@ class Squares:
 
 def fit(
     scan: Scan,
-    surface: Surface,
+    surface: Parametric,
     *,
     drift: bool,
     robust: bool,
@@ -281,7 +281,7 @@ def fit(
     )
 
 
-def _offsets(surface: Surface) -> list[str]:
+def _offsets(surface: Parametric) -> list[str]:
     return [path for path in kinds(surface) if path.split(".")[-1] == "offset"]
 
 

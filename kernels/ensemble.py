@@ -35,6 +35,55 @@ def log_poisson(m: Array, g: Array) -> Array:
     return -m * (delta - log_ratio) - 0.5 * jnp.log(TWO_PI * m) - correction
 
 
+def poisson_terms(
+    g: Float[Array, "*batch"],
+    a: Float[Array, "*batch"],
+    terms: int,
+    *,
+    widths: float,
+    halvings: int,
+) -> tuple[Float[Array, " terms *batch"], Float[Array, " terms *batch"]]:
+    """The m that matter in sum_{m>=1} exp(-g) g^m / m! exp(-a / m) / m, and their weights.
+
+    `terms` whole numbers about the largest term; where the bell is wider, every second, third,
+    ... m (a trapezoid rule, exact to rounding for a smooth bell). The weights are
+    exp(-g) g^m / m! times the step and have a derivative in g.
+
+    Parameters
+    ----------
+    g
+        Mean of the Poisson weights, above 0.
+    a
+        0 or more.
+    terms
+        Static.
+    widths
+        Standard deviations of the bell that must be covered, about its largest term.
+    halvings
+        Of the interval in which the largest term is looked for, in its logarithm: its relative
+        error is about log(2 g) / 2^halvings, and the bell's width about 1 / sqrt(g) of it.
+    """
+    mean, a = jax.lax.stop_gradient((g, a))
+
+    def slope(m):
+        return jnp.log(mean / m) + a / m**2 - 1.5 / m
+
+    def halve(_, ends):
+        low, high = ends
+        middle = jnp.sqrt(low * high)
+        up = slope(middle) > 0
+        return jnp.where(up, middle, low), jnp.where(up, high, middle)
+
+    ends = (jnp.ones_like(g), 2.0 * (mean + jnp.sqrt(a) + 10.0))
+    peak, _ = jax.lax.fori_loop(0, halvings, halve, ends)
+    width = 1.0 / jnp.sqrt(1.0 / peak + 2.0 * a / peak**3)
+    step = jnp.maximum(1.0, jnp.ceil(widths * width / terms))
+    first = jnp.maximum(1.0, jnp.floor(peak - 0.5 * terms * step))
+    count = jnp.arange(terms, dtype=g.dtype).reshape((terms,) + (1,) * g.ndim)
+    m = first[None] + step[None] * count
+    return m, step[None] * jnp.exp(log_poisson(m, g[None]))
+
+
 def gaussian_roughness(
     q: Float[Array, ""],
     kappa: Float[Array, ""],
@@ -68,24 +117,8 @@ def gaussian_roughness(
     """
     g = jnp.maximum((kappa * rms) ** 2, jnp.finfo(kappa.dtype).tiny * 1e3)
     a = 0.25 * (q * length) ** 2
-
-    def slope(m):
-        return jnp.log(g / m) + a / m**2 - 1.5 / m
-
-    def halve(_, ends):
-        low, high = ends
-        middle = jnp.sqrt(low * high)
-        up = slope(middle) > 0
-        return jnp.where(up, middle, low), jnp.where(up, high, middle)
-
-    ends = (jnp.ones_like(g), 2.0 * (g + jnp.sqrt(a) + 10.0))
-    peak, _ = jax.lax.fori_loop(0, 50, halve, jax.lax.stop_gradient(ends))
-    width = 1.0 / jnp.sqrt(1.0 / peak + 2.0 * a / peak**3)
-    step = jnp.maximum(1.0, 20.0 * width / terms)
-    first = jnp.maximum(1.0, jnp.floor(peak - 0.5 * terms * step))
-    m = jax.lax.stop_gradient(first + step * jnp.arange(terms, dtype=g.dtype))
-    logs = log_poisson(m, g) - a / m
-    return jax.lax.stop_gradient(step) * (jnp.exp(logs) * (math.pi * length**2 / m)).sum()
+    m, weight = poisson_terms(g, a, terms, widths=20.0, halvings=50)
+    return (weight * jnp.exp(-a / m) * (math.pi * length**2 / m)).sum()
 
 
 def gaussian_mirror(kappa: Float[Array, "..."], rms: Float[Array, "..."]) -> Float[Array, "..."]:

@@ -160,7 +160,12 @@ def test_bessel_sequence():
     np.testing.assert_array_equal(picked[2], 0.0)
 
 
-@pytest.mark.parametrize("surface", [*(s for s, *_ in EXACT.values()), *RANDOM.values()], ids=str)
+MORE = [gratings.Blazed(2.0, 0.15, 0.2, TURN), gratings.Jittered(SINE, 0.03, 0.02)]
+
+
+@pytest.mark.parametrize(
+    "surface", [*(s for s, *_ in EXACT.values()), *RANDOM.values(), *MORE], ids=str
+)
 def test_power_has_the_gradient_of_differences(surface, rng):
     fx, fy = map(jnp.asarray, rng.uniform(-0.8, 0.8, (2, 40)))
     kappa, sigma_f = jnp.full(40, -12.0), jnp.full(40, 0.12)

@@ -17,6 +17,7 @@ Parameters are array leaves, so that fits can act on them.
 """
 
 from diffopt.gratings.base import Components as Components
+from diffopt.gratings.base import Parametric as Parametric
 from diffopt.gratings.base import Reach as Reach
 from diffopt.gratings.base import Surface as Surface
 from diffopt.gratings.crossed import Crossed as Crossed

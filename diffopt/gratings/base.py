@@ -8,7 +8,7 @@ the power spectrum of exp(i kappa h) in closed form, as Gaussians in spatial fre
 import abc
 import dataclasses
 import math
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -32,6 +32,8 @@ KINDS: dict[str, tuple[str, str]] = {
 }
 #: Parameters that |P|^2 averaged over positions does not depend on.
 UNSEEN = ("shift", "phase", "offset")
+
+_P = TypeVar("_P", bound="Parametric")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,15 +112,60 @@ def lines(
     return Components(weight, x, y, none, none, none, jnp.zeros_like(weight[0]))
 
 
-class Surface(eqx.Module):
-    """A parametric surface."""
+class Parametric(eqx.Module):
+    """Anything described by named parameters, of its own and of what it is made of."""
 
     #: Parameters by name, with their kinds (`KINDS`).
     PARAMETERS: ClassVar[dict[str, str]] = {}
+
+    @property
+    def title(self) -> str:
+        """Name in lower case."""
+        return type(self).__name__.lower()
+
+    @property
+    def dtype(self) -> Any:
+        """Floating-point type of the parameters."""
+        return self.get(next(iter(kinds(self)))).dtype
+
+    def get(self, path: str) -> Float[Array, ""]:
+        """A parameter by its name, as ``period`` or ``grating.period``."""
+        return _walk(self, path)
+
+    def replaced(self: _P, values: dict[str, Any]) -> _P:
+        """With other values of some parameters."""
+        paths = list(values)
+        dtype = self.dtype
+        return eqx.tree_at(
+            lambda s: [_walk(s, path) for path in paths],
+            self,
+            [jnp.asarray(values[path], dtype) for path in paths],
+        )
+
+    def __str__(self) -> str:
+        names = (f"{path} {float(self.get(path)):.6g}" for path in kinds(self))
+        return f"{type(self).__name__}({', '.join(names)})"
+
+
+class Surface(Parametric):
+    """A parametric surface."""
+
     #: Whether heights are drawn at random.
     RANDOM: ClassVar[bool] = False
+    #: Whether a half turn about z leaves what the surface itself adds to `symmetric`.
+    SYMMETRIC: ClassVar[bool] = True
 
-    @abc.abstractmethod
+    @property
+    def symmetric(self) -> bool:
+        """Whether the surface reflects alike once it is turned by half a turn about z.
+
+        True if h(-x, -y) is h(x, y) shifted, or as probable; blazed gratings, and what is made of
+        them, are not.
+        """
+        return self.SYMMETRIC and all(
+            part.symmetric for _, part in _parts(self) if isinstance(part, Surface)
+        )
+
     def heights(
         self,
         shape: tuple[int, int],
@@ -127,7 +174,47 @@ class Surface(eqx.Module):
         edges: str = "sharp",
         key: Any = None,
     ) -> Float[Array, "ny nx"]:
-        """Heights on a grid whose pixel (ny // 2, nx // 2) lies at x = y = 0."""
+        """Heights on a grid whose pixel (ny // 2, nx // 2) lies at x = y = 0.
+
+        Parameters
+        ----------
+        shape
+            (ny, nx).
+        pixel
+            (dy, dx), or one number for both, in micrometres.
+        edges
+            Of the profiles of gratings: ``"sharp"`` samples them, ``"averaged"`` takes the mean
+            over each pixel: along an axis exactly, at an angle over a line across it of the same
+            variance. Roughness, bumps and pits are sampled either way.
+        key
+            JAX random key of surfaces that are drawn at random; the others do not use it.
+
+        Raises
+        ------
+        InputError
+            If ``edges`` is another word, or a random surface has no key.
+        """
+        if edges not in ("sharp", "averaged"):
+            raise InputError(f"edges={edges!r}: expected 'sharp' or 'averaged'")
+        if self.RANDOM and key is None:
+            raise InputError(
+                f"{type(self).__name__}: heights are drawn at random, pass key=jax.random.key(...)"
+            )
+        (ny, nx), (dy, dx) = shape, pair(pixel, "pixel")
+        y = (jnp.arange(ny, dtype=self.dtype) - ny // 2) * dy
+        x = (jnp.arange(nx, dtype=self.dtype) - nx // 2) * dx
+        return self.sampled(y, x, (dy, dx), edges, key)
+
+    @abc.abstractmethod
+    def sampled(
+        self,
+        y: Float[Array, " ny"],
+        x: Float[Array, " nx"],
+        pixel: tuple[float, float],
+        edges: str,
+        key: Any,
+    ) -> Float[Array, "ny nx"]:
+        """Heights at rows y and columns x, micrometres, which lie `pixel` apart; see `heights`."""
 
     @abc.abstractmethod
     def components(
@@ -164,34 +251,6 @@ class Surface(eqx.Module):
             provenance=Provenance(f"{self.title} grating", steps=(f"{edges} samples",)),
         )
 
-    @property
-    def title(self) -> str:
-        """Name in lower case."""
-        return type(self).__name__.lower()
-
-    @property
-    def dtype(self) -> Any:
-        """Floating-point type of the parameters."""
-        return self.get(next(iter(kinds(self)))).dtype
-
-    def get(self, path: str) -> Float[Array, ""]:
-        """A parameter by its name, as ``period`` or ``grating.period``."""
-        return _walk(self, path)
-
-    def replaced(self, values: dict[str, Any]) -> "Surface":
-        """With other values of some parameters."""
-        paths = list(values)
-        dtype = self.dtype
-        return eqx.tree_at(
-            lambda s: [_walk(s, path) for path in paths],
-            self,
-            [jnp.asarray(values[path], dtype) for path in paths],
-        )
-
-    def __str__(self) -> str:
-        names = (f"{path} {float(self.get(path)):.6g}" for path in kinds(self))
-        return f"{type(self).__name__}({', '.join(names)})"
-
 
 def _walk(surface: Any, path: str) -> Any:
     for name in path.split("."):
@@ -199,32 +258,26 @@ def _walk(surface: Any, path: str) -> Any:
     return surface
 
 
-def kinds(surface: Surface) -> dict[str, str]:
+def _parts(surface: Parametric) -> list[tuple[str, Parametric]]:
+    """What a surface is made of, by the names of its fields."""
+    fields = [(field.name, getattr(surface, field.name)) for field in dataclasses.fields(surface)]
+    return [(name, part) for name, part in fields if isinstance(part, Parametric)]
+
+
+def kinds(surface: Parametric) -> dict[str, str]:
     """All parameters of a surface and of those within it: path and kind."""
     found = dict(surface.PARAMETERS)
-    for field in dataclasses.fields(surface):
-        inner = getattr(surface, field.name)
-        if isinstance(inner, Surface):
-            found |= {f"{field.name}.{path}": kind for path, kind in kinds(inner).items()}
+    for name, part in _parts(surface):
+        found |= {f"{name}.{path}": kind for path, kind in kinds(part).items()}
     return found
 
 
-def seen_in_power(surface: Surface) -> tuple[str, ...]:
+def seen_in_power(surface: Parametric) -> tuple[str, ...]:
     """Parameters that reflectance averaged over positions depends on."""
     return tuple(path for path in kinds(surface) if path.split(".")[-1] not in UNSEEN)
 
 
-def grid(
-    shape: tuple[int, int], pixel: Number | tuple[Number, Number], dtype: Any
-) -> tuple[Float[Array, " ny"], Float[Array, " nx"], tuple[float, float]]:
-    """Positions of rows and columns, and (dy, dx), in micrometres."""
-    (ny, nx), (dy, dx) = shape, pair(pixel, "pixel")
-    y = (jnp.arange(ny, dtype=dtype) - ny // 2) * dy
-    x = (jnp.arange(nx, dtype=dtype) - nx // 2) * dx
-    return y, x, (dy, dx)
-
-
-def parameters(values: dict[str, Any], owner: type[Surface]) -> list[Float[Array, ""]]:
+def parameters(values: dict[str, Any], owner: type[Parametric]) -> list[Float[Array, ""]]:
     """Scalars as arrays of one floating-point type: that of the arrays among them.
 
     Raises
@@ -261,18 +314,3 @@ def _check(name: str, value: Any, kind: str) -> None:
             f"{name} must be a finite number, {expected}{' in ' + unit if unit else ''}; "
             f"received {number:g}"
         )
-
-
-def require_key(surface: Surface, key: Any) -> Any:
-    """The key of a surface whose heights are drawn at random.
-
-    Raises
-    ------
-    InputError
-        If there is none.
-    """
-    if key is None:
-        raise InputError(
-            f"{type(surface).__name__}: heights are drawn at random, pass key=jax.random.key(...)"
-        )
-    return key

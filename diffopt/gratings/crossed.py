@@ -9,7 +9,6 @@ from diffopt import checks
 from diffopt.errors import InputError
 from diffopt.gratings.base import Components, Reach, Surface, lines
 from diffopt.gratings.profiles import Grating, nearby
-from diffopt.heightfield import Number
 
 # Sine of the least angle between the two directions.
 _LEAST = 1e-3
@@ -43,17 +42,17 @@ class Crossed(Surface):
                     f"{float(second.angle):g} rad"
                 )
 
-    def heights(
+    def sampled(
         self,
-        shape: tuple[int, int],
-        pixel: Number | tuple[Number, Number],
-        *,
-        edges: str = "sharp",
-        key: Any = None,
+        y: Float[Array, " ny"],
+        x: Float[Array, " nx"],
+        pixel: tuple[float, float],
+        edges: str,
+        key: Any,
     ) -> Float[Array, "ny nx"]:
-        """Sum of both, see `Grating.heights`."""
-        first = self.first.heights(shape, pixel, edges=edges, key=key)
-        return first + self.second.heights(shape, pixel, edges=edges, key=key)
+        """Sum of both; see `Surface.heights`."""
+        first = self.first.sampled(y, x, pixel, edges, key)
+        return first + self.second.sampled(y, x, pixel, edges, key)
 
     def components(
         self,

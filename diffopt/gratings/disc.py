@@ -10,10 +10,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffopt import discs
-from diffopt.gratings.base import Components, Reach, Surface, grid, lines, parameters, require_key
+from diffopt.gratings.base import Components, Reach, Surface, lines, parameters
 from diffopt.gratings.profiles import nearby
 from diffopt.gratings.trapezoid import Trapezoid
-from diffopt.heightfield import Number
 
 _RUNS = np.arange(discs.SHORTEST_RUN, discs.LONGEST_RUN + 1)
 # Probability of a run of n bits in the code of greatest entropy; half the track is pit.
@@ -132,46 +131,43 @@ class CompactDisc(Surface):
         turns = frequency * self.bit
         turns = jnp.where(jnp.abs(turns) < 1e-3, 1e-3, turns)
         angle = 2.0 * math.pi * turns
-        re = sum(
-            share * jnp.cos(float(run) * angle) for run, share in zip(_RUNS, _SHARES, strict=True)
-        )
-        im = sum(
-            share * jnp.sin(float(run) * angle) for run, share in zip(_RUNS, _SHARES, strict=True)
-        )
+        # Plain numbers take the type of what they multiply.
+        runs = [(float(run), float(share)) for run, share in zip(_RUNS, _SHARES, strict=True)]
+        re = sum(share * jnp.cos(run * angle) for run, share in runs)
+        im = sum(share * jnp.sin(run * angle) for run, share in runs)
         # Re((1 - phi) / (1 + phi)) = (1 - |phi|^2) / |1 + phi|^2.
         part = (1.0 - re**2 - im**2) / ((1.0 + re) ** 2 + im**2)
         mean = float((_RUNS * _SHARES).sum())
         return part * self.bit / (mean * (2.0 * math.pi * turns) ** 2)
 
-    def heights(
+    def sampled(
         self,
-        shape: tuple[int, int],
-        pixel: Number | tuple[Number, Number],
-        *,
-        edges: str = "sharp",
-        key: Any = None,
+        y: Float[Array, " ny"],
+        x: Float[Array, " nx"],
+        pixel: tuple[float, float],
+        edges: str,
+        key: Any,
     ) -> Float[Array, "ny nx"]:
         """One disc, drawn by the key; made on the host, without derivatives.
 
         Pits end in half circles. For a disc that repeats with the patch see
         `diffopt.samples.compact_disc`.
         """
-        del edges
-        y, x, _ = grid(shape, pixel, jnp.float64 if jax.config.read("jax_enable_x64") else None)
-        y, x = np.asarray(y, np.float64)[:, None], np.asarray(x, np.float64)[None, :]
+        del edges, pixel
+        rows, columns = np.asarray(y, np.float64)[:, None], np.asarray(x, np.float64)[None, :]
         cos, sin = math.cos(float(self.angle)), math.sin(float(self.angle))
         pitch, bit, width = float(self.pitch), float(self.bit), float(self.width)
-        place = (x * cos + y * sin) / pitch - float(self.shift)
+        place = (columns * cos + rows * sin) / pitch - float(self.shift)
         track = np.rint(place).astype(int)
-        across, along = (place - track) * pitch, (y * cos - x * sin) / bit
+        across, along = (place - track) * pitch, (rows * cos - columns * sin) / bit
         number, low = np.arange(track.min(), track.max() + 1), along.min() - 2 * _RUNS[-1]
         count = 2 * math.ceil((along.max() - low) / (2 * _RUNS[0]) + 2)
-        seed = jax.random.bits(require_key(self, key), (2,))
+        seed = jax.random.bits(key, (2,))
         rng = np.random.default_rng([int(part) for part in seed])
         runs = rng.choice(_RUNS, size=(len(number), count), p=_SHARES)
         edge = low + rng.uniform(0, _RUNS[-1], (len(number), 1)) + np.cumsum(runs, axis=1)
         wall = max(width * float(self.wall), 1e-12) * pitch
-        depth = np.zeros(shape)
+        depth = np.zeros(track.shape)
         for row, this in zip(edge, number, strict=True):
             own = track == this
             # Pits lie between edges 2 k and 2 k + 1; the nearest middle is that of its pit.

@@ -6,12 +6,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from diffopt.gratings.base import Components, Reach, Surface, grid, parameters, require_key
+from diffopt.gratings.base import Components, Reach, Surface, parameters
 from diffopt.gratings.crossed import Crossed
 from diffopt.gratings.profiles import Grating
 from diffopt.gratings.series import displaced
-from diffopt.heightfield import Number
-from diffopt.io.record import pair
 from diffopt.random_fields import gaussian_field
 
 
@@ -48,23 +46,23 @@ class Jittered(Surface):
             value.astype(grating.dtype) for value in parameters(given, Jittered)
         )
 
-    def heights(
+    def sampled(
         self,
-        shape: tuple[int, int],
-        pixel: Number | tuple[Number, Number],
-        *,
-        edges: str = "sharp",
-        key: Any = None,
+        y: Float[Array, " ny"],
+        x: Float[Array, " nx"],
+        pixel: tuple[float, float],
+        edges: str,
+        key: Any,
     ) -> Float[Array, "ny nx"]:
-        """One domain, drawn by the key; see `Grating.heights`."""
-        draw = jax.random.normal(require_key(self, key), (2,), self.dtype)
+        """One domain, drawn by the key; see `Surface.heights`."""
+        draw = jax.random.normal(key, (2,), self.dtype)
         stretch, turn = 1.0 + self.period_spread * draw[0], self.angle_spread * draw[1]
         gratings = [""] if isinstance(self.grating, Grating) else ["first.", "second."]
         drawn = self.grating.replaced(
             {f"{g}period": self.grating.get(f"{g}period") / stretch for g in gratings}
             | {f"{g}angle": self.grating.get(f"{g}angle") + turn for g in gratings}
         )
-        return drawn.heights(shape, pixel, edges=edges)
+        return drawn.sampled(y, x, pixel, edges, None)
 
     def components(
         self,
@@ -121,22 +119,18 @@ class Ridges(Surface):
             value.astype(grating.dtype) for value in parameters(given, Ridges)
         )
 
-    def heights(
+    def sampled(
         self,
-        shape: tuple[int, int],
-        pixel: Number | tuple[Number, Number],
-        *,
-        edges: str = "sharp",
-        key: Any = None,
+        y: Float[Array, " ny"],
+        x: Float[Array, " nx"],
+        pixel: tuple[float, float],
+        edges: str,
+        key: Any,
     ) -> Float[Array, "ny nx"]:
-        """One surface, drawn by the key; `edges` as in `Grating.heights`."""
-        field = gaussian_field(
-            require_key(self, key), shape, pair(pixel, "pixel"), self.correlation_length
-        )
-        y, x, (dy, dx) = grid(shape, pixel, self.dtype)
-        cos, sin = jnp.cos(self.grating.angle), jnp.sin(self.grating.angle)
-        across = cos * x[None, :] + sin * y[:, None] + self.displacement * field.astype(x.dtype)
-        return self.grating.at(across, (dy, dx), edges)
+        """One surface, drawn by the key; see `Surface.heights`."""
+        field = gaussian_field(key, (y.size, x.size), pixel, self.correlation_length)
+        across = self.grating.across(y, x) + self.displacement * field.astype(x.dtype)
+        return self.grating.at(across, pixel, edges)
 
     def components(
         self,

@@ -27,9 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float, Int
 
-from diffopt.errors import InputError
-from diffopt.gratings.base import Components, Reach, Surface, grid, lines, parameters
-from diffopt.heightfield import Number
+from diffopt.gratings.base import Components, Reach, Surface, lines, parameters
 from diffopt.kernels import bessel
 
 # Nodes of the quadrature for J_m; the error is the sum of J_(m +- 512 k)(z), k > 0,
@@ -76,36 +74,21 @@ class Grating(Surface):
     angle: eqx.AbstractVar[Float[Array, ""]]
     offset: eqx.AbstractVar[Float[Array, ""]]
 
-    def heights(
+    def sampled(
         self,
-        shape: tuple[int, int],
-        pixel: Number | tuple[Number, Number],
-        *,
-        edges: str = "sharp",
-        key: Any = None,
+        y: Float[Array, " ny"],
+        x: Float[Array, " nx"],
+        pixel: tuple[float, float],
+        edges: str,
+        key: Any,
     ) -> Float[Array, "ny nx"]:
-        """Heights on a grid whose pixel (ny // 2, nx // 2) lies at x = y = 0.
+        """Heights of the profile; see `Surface.heights`."""
+        del key
+        return self.at(self.across(y, x), pixel, edges)
 
-        Parameters
-        ----------
-        shape
-            (ny, nx).
-        pixel
-            (dy, dx), or one number for both, in micrometres.
-        edges
-            ``"sharp"`` samples the profile, ``"averaged"`` takes its mean over each pixel: along
-            an axis exactly, at an angle over a line across it of the same variance.
-        key
-            Not used.
-
-        Raises
-        ------
-        InputError
-            If ``edges`` is another word.
-        """
-        y, x, sides = grid(shape, pixel, self.period.dtype)
-        across = jnp.cos(self.angle) * x[None, :] + jnp.sin(self.angle) * y[:, None]
-        return self.at(across, sides, edges)
+    def across(self, y: Float[Array, " ny"], x: Float[Array, " nx"]) -> Float[Array, "ny nx"]:
+        """Positions across the lines of rows and columns, micrometres."""
+        return jnp.cos(self.angle) * x[None, :] + jnp.sin(self.angle) * y[:, None]
 
     def at(
         self, across: Float[Array, "..."], pixel: tuple[float, float], edges: str
@@ -113,12 +96,10 @@ class Grating(Surface):
         """Height at positions across the lines; `pixel` and `edges` as in `heights`."""
         if edges == "sharp":
             return self.profile(across) + self.offset
-        if edges == "averaged":
-            (dy, dx), cos, sin = pixel, jnp.cos(self.angle), jnp.sin(self.angle)
-            half = 0.5 * jnp.sqrt((cos * dx) ** 2 + (sin * dy) ** 2)
-            mean = (self.integral(across + half) - self.integral(across - half)) / (2.0 * half)
-            return mean + self.offset
-        raise InputError(f"edges={edges!r}: expected 'sharp' or 'averaged'")
+        (dy, dx), cos, sin = pixel, jnp.cos(self.angle), jnp.sin(self.angle)
+        half = 0.5 * jnp.sqrt((cos * dx) ** 2 + (sin * dy) ** 2)
+        mean = (self.integral(across + half) - self.integral(across - half)) / (2.0 * half)
+        return mean + self.offset
 
     def components(
         self,
@@ -261,6 +242,7 @@ class Blazed(Grating):
         Height of the feet of the teeth, micrometres.
     """
 
+    SYMMETRIC: ClassVar = False
     PARAMETERS: ClassVar = {
         "period": "length",
         "depth": "height",

@@ -5,17 +5,13 @@ import dataclasses
 import math
 from typing import Any, ClassVar
 
-import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
-from diffopt.gratings.base import Components, Reach, Surface, grid, lines, parameters, require_key
+from diffopt.gratings.base import Components, Reach, Surface, lines, parameters
 from diffopt.gratings.series import displaced
-from diffopt.heightfield import Number
-from diffopt.io.record import pair
 from diffopt.kernels import ensemble
-from diffopt.random_fields import gaussian_field
+from diffopt.random_fields import bumps, gaussian_field
 
 
 class Rough(Surface):
@@ -59,19 +55,17 @@ class Roughness(Rough):
         given = {"rms": rms, "correlation_length": correlation_length}
         self.rms, self.correlation_length = parameters(given, Roughness)
 
-    def heights(
+    def sampled(
         self,
-        shape: tuple[int, int],
-        pixel: Number | tuple[Number, Number],
-        *,
-        edges: str = "sharp",
-        key: Any = None,
+        y: Float[Array, " ny"],
+        x: Float[Array, " nx"],
+        pixel: tuple[float, float],
+        edges: str,
+        key: Any,
     ) -> Float[Array, "ny nx"]:
         """One surface, drawn by the key, that repeats with the patch; differentiable."""
         del edges
-        field = gaussian_field(
-            require_key(self, key), shape, pair(pixel, "pixel"), self.correlation_length
-        )
+        field = gaussian_field(key, (y.size, x.size), pixel, self.correlation_length)
         return self.rms * field.astype(self.rms.dtype)
 
     def spread(self, base: Components, kappa: Float[Array, "*batch"], reach: Reach) -> Components:
@@ -107,34 +101,21 @@ class Bumps(Rough):
         given = {"height": height, "size": size, "density": density}
         self.height, self.size, self.density = parameters(given, Bumps)
 
-    def heights(
+    def sampled(
         self,
-        shape: tuple[int, int],
-        pixel: Number | tuple[Number, Number],
-        *,
-        edges: str = "sharp",
-        key: Any = None,
+        y: Float[Array, " ny"],
+        x: Float[Array, " nx"],
+        pixel: tuple[float, float],
+        edges: str,
+        key: Any,
     ) -> Float[Array, "ny nx"]:
         """One surface, drawn by the key, that repeats with the patch.
 
         Differentiable in height and size; the number of bumps is drawn on the host.
         """
         del edges
-        key_count, key_place = jax.random.split(require_key(self, key))
-        y, x, (dy, dx) = grid(shape, pixel, self.dtype)
-        length_y, length_x = shape[0] * dy, shape[1] * dx
-        count = int(jax.random.poisson(key_count, float(self.density) * length_y * length_x))
-        place = jax.random.uniform(key_place, (count, 2), self.dtype)
-        along_y = self._wrapped(y, place[:, 0], length_y)
-        along_x = self._wrapped(x, place[:, 1], length_x)
-        return self.height * jnp.matmul(along_y.T, along_x, precision="highest")
-
-    def _wrapped(self, at: Array, place: Array, length: float) -> Array:
-        """Gaussians of maximum 1 along an axis that closes on itself, [count, n]."""
-        off = at[None, :] - place[:, None] * length
-        off = off - length * jnp.round(off / length)
-        shifts = jnp.asarray(np.arange(-2, 3) * length, at.dtype)
-        return jnp.exp(-0.5 * ((off[..., None] + shifts[None, None, :]) / self.size) ** 2).sum(-1)
+        sizes = (self.size, self.size)
+        return self.height * bumps(key, y, x, pixel, sizes, float(self.density))[0]
 
     def spread(self, base: Components, kappa: Float[Array, "*batch"], reach: Reach) -> Components:
         """Each line keeps the mirror's share, and the rest is a continuum around it."""

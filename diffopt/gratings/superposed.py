@@ -1,13 +1,12 @@
 """A surface with roughness or bumps added to it."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 from jaxtyping import Array, Float
 
 from diffopt.gratings.base import Components, Reach, Surface
 from diffopt.gratings.rough import Rough
-from diffopt.heightfield import Number
 
 
 class Superposed(Surface):
@@ -25,21 +24,23 @@ class Superposed(Surface):
         `Roughness` or `Bumps`.
     """
 
+    RANDOM: ClassVar = True
+
     base: Surface
     rough: Rough
 
-    def heights(
+    def sampled(
         self,
-        shape: tuple[int, int],
-        pixel: Number | tuple[Number, Number],
-        *,
-        edges: str = "sharp",
-        key: Any = None,
+        y: Float[Array, " ny"],
+        x: Float[Array, " nx"],
+        pixel: tuple[float, float],
+        edges: str,
+        key: Any,
     ) -> Float[Array, "ny nx"]:
-        """Sum of both, see `Surface.heights`."""
-        one, other = (None, None) if key is None else jax.random.split(key)
-        base = self.base.heights(shape, pixel, edges=edges, key=one)
-        return base + self.rough.heights(shape, pixel, edges=edges, key=other)
+        """Sum of both; see `Surface.heights`."""
+        one, other = jax.random.split(key)
+        base = self.base.sampled(y, x, pixel, edges, one)
+        return base + self.rough.sampled(y, x, pixel, edges, other)
 
     def components(
         self,
