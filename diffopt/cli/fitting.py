@@ -1,4 +1,4 @@
-"""``diffopt fit``: lobes of materials, environment maps and samples."""
+"""``diffopt fit``: lobes of materials, maps and samples; `fit_heightfield`: surfaces."""
 
 import contextlib
 import dataclasses
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from diffopt.cli import fit_heightfield
 from diffopt.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,12 +25,13 @@ COUNTS = {"material": 3, "map": 16, "samples": 3}
 
 _METHODS = ("em+lm", "lm", "em", "moments")
 
-app = typer.Typer(help="Fit lobes to materials, maps and samples.", rich_markup_mode=None)
+app = typer.Typer(help="Fit lobes, or surfaces, to what was measured.", rich_markup_mode=None)
+app.command("heightfield")(fit_heightfield.command)
 
 
 @app.callback()
 def _root() -> None:
-    """Fit lobes to materials, maps and samples."""
+    """Fit lobes to materials, maps and samples; surfaces to scans and reflectance."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -66,12 +66,12 @@ class Stages:
         self._ended = 0
 
     @contextmanager
-    def stage(self, name: str) -> Iterator[Callable[[int, int], None]]:
+    def stage(self, name: str) -> Iterator[Callable[[int | float, int | float], None]]:
         """Time a stage; gives a function to report (done, of) within it."""
         self._bar.update(self._task, description=name)
         start, compiled = time.perf_counter(), _compiled[0]
 
-        def report(done: int, of: int) -> None:
+        def report(done: int | float, of: int | float) -> None:
             self._bar.update(self._task, completed=self._ended + done / of)
 
         yield report
@@ -79,6 +79,10 @@ class Stages:
         self.times[name] = Times(elapsed, min(_compiled[0] - compiled, elapsed))
         self._ended += 1
         self._bar.update(self._task, completed=self._ended)
+
+    def tell(self, text: str) -> None:
+        """Show what a stage is about, in place of its name."""
+        self._bar.update(self._task, description=text)
 
     @property
     def sum(self) -> Times:
