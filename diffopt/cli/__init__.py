@@ -11,7 +11,7 @@
 `comparing`       ``diffopt compare``; apart from it `comparing_levels`, `comparing_plans`,
                   `comparing_shadows` and `comparing_transfer`
 `fitting`         ``diffopt fit``; `fit_targets`: what lobes are fitted to
-`fit_heightfield` its part for surfaces (`fit_heightfield_output`)
+`fit_heightfield` its part for surfaces (`fit_heightfield_output`, `fit_heightfield_table`)
 `scene`           ``diffopt scene``: scene files checked, and examples
 `plan`            ``diffopt plan``: effects that a picture calls for
 `render`          ``diffopt render``: their pictures (`render_output`)

@@ -215,6 +215,7 @@ def run(subject: Subject, asked: Asked, output: Path | None) -> bool:
     import contextlib
 
     from diffopt.cli import fit_heightfield_output as results
+    from diffopt.cli import fit_heightfield_table
     from diffopt.cli.output import folder
     from diffopt.cli.progress import stages
 
@@ -227,7 +228,7 @@ def run(subject: Subject, asked: Asked, output: Path | None) -> bool:
         if staging is not None:
             with progress.stage("pictures"):
                 results.write(staging, subject, asked, fit, content)
-    results.tell(content, output)
+    fit_heightfield_table.tell(content, output)
     return bool(fit.converged)
 
 

@@ -20,12 +20,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from diffopt import __version__
+from diffopt.cli import fit_heightfield_table
 from diffopt.gratings import CompactDisc, Surface
-from diffopt.gratings.base import KINDS, kinds
+from diffopt.gratings.parametric import KINDS, kinds
 
 if TYPE_CHECKING:
-    from rich.console import Console, RenderableType
-
     from diffopt.cli.fit_heightfield import Asked, Subject
 
 _WORDS = {
@@ -161,7 +160,9 @@ def write(
     text = json.dumps(content, indent=2, allow_nan=False, ensure_ascii=False)
     (target / "parameters.json").write_text(text + "\n", encoding="utf-8")
     with (target / "parameters.txt").open("w", encoding="utf-8") as file:
-        _show(Console(file=file, width=120, highlight=False, color_system=None), content)
+        fit_heightfield_table.show(
+            Console(file=file, width=120, highlight=False, color_system=None), content
+        )
     title = f"{Path(asked.file).name}: {content.get('model', 'every height')}"
     if not content["converged"]:
         title += " (no answer)"
@@ -257,7 +258,7 @@ def _scan_pictures(
 def _reflectance_pictures(
     subject: "Subject", fit: Any, title: str
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    from diffopt.drawing import surface_fits
+    from diffopt.drawing import reflectance_fits, surface_fits
 
     data = subject.data
     measured = np.asarray(data.values, np.float64)
@@ -274,7 +275,7 @@ def _reflectance_pictures(
     else:
         over, of = 100.0 * left / float(np.abs(measured).max()), "% of the largest value"
     figures: dict[str, Any] = {
-        "measured_fitted.png": surface_fits.reflectance(
+        "measured_fitted.png": reflectance_fits.values(
             title,
             wave,
             wavelengths,
@@ -285,7 +286,7 @@ def _reflectance_pictures(
             width=max(width, float(data.blur)),
             noise=noise if data.noise_known else None,
         ),
-        "residual.png": surface_fits.reflectance_residual(
+        "residual.png": reflectance_fits.residual(
             title, wave, wavelengths, over, quantity=data.quantity, unit=of
         ),
     }
@@ -329,93 +330,3 @@ def predicted(data: Any, fit: Any) -> np.ndarray:
     )
     residual, _ = made.residuals(surface.heights)
     return fit.gain * np.asarray(residual + data.values)
-
-
-def tell(content: dict[str, Any], output: Path | None) -> None:
-    """Print the result, and where it went."""
-    from diffopt.cli.progress import terminal
-
-    console = terminal()
-    _show(console, content)
-    if output is not None:
-        console.print(f"results: {output}", soft_wrap=True)
-
-
-def _show(console: "Console", content: dict[str, Any]) -> None:
-    for part in _parts(content):
-        console.print(part)
-
-
-def _parts(content: dict[str, Any]) -> "list[RenderableType]":
-    from rich.table import Table
-
-    out: list[RenderableType] = []
-    head = Table.grid(padding=(0, 2))
-    head.add_row("fit", f"{content.get('model', 'heights')}, from {content['what']}")
-    head.add_row("answer" if content["converged"] else "no answer", content["reason"])
-    head.add_row("misfit", f"{content['misfit']:.3g} ({content['units']['misfit']})")
-    if content.get("chi2") is not None:
-        head.add_row("chi-squared", f"{content['chi2']:.3g} per value")
-    if content["provenance"].get("gain") == "free":
-        head.add_row("gain", f"{content['gain']:.5g}")
-    if "heights" in content:
-        found = content["heights"]
-        ny, nx = found["shape"]
-        head.add_row(
-            "heights",
-            f"{nx} x {ny}, {1000 * found['rms']:.4g} nm rms, "
-            f"{1000 * found['peak_to_valley']:.4g} nm peak to valley",
-        )
-    head.add_row("time", f"{content['seconds']:.1f} s")
-    out.append(head)
-    if "parameters" in content:
-        out += ["", _table(content)]
-        loose = [
-            row["identifiable"]
-            for row in content["parameters"].values()
-            if row["identifiable"] != "determined"
-        ]
-        out += ["", *(f"- {text}" for text in loose)] if loose else []
-    if len(content.get("ranking", ())) > 1:
-        out += ["", _ranking(content["ranking"])]
-    out += [f"note: {note}" for note in content["notes"]]
-    return out
-
-
-def _table(content: dict[str, Any]) -> Any:
-    from rich.table import Table
-
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for title in ("parameter", "value", "standard error", "unit", "determined"):
-        table.add_column(title, justify="right" if title in ("value", "standard error") else "left")
-    for name, row in content["parameters"].items():
-        turn = math.degrees(1.0) if row["unit"] == "rad" else 1.0
-        value, error = row["value"], row["error"]
-        if error:
-            shown = f"{error * turn:.2g}"
-            # As many decimals as the error has.
-            size = math.floor(math.log10(error * turn))
-            digits = max(1 - size, 0)
-            text = f"{value * turn:.{min(digits, 12)}f}"
-        else:
-            shown, text = "", f"{value * turn:.6g}"
-        unit = "deg" if row["unit"] == "rad" else row["unit"]
-        sure = "yes" if row["identifiable"] == "determined" else "no"
-        table.add_row(name, text, shown, unit, sure)
-    return table
-
-
-def _ranking(rows: list[dict[str, Any]]) -> Any:
-    from rich.table import Table
-
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    scan = "rms" in rows[0]
-    for title in ("model", "criterion", "free", "rms nm" if scan else "misfit", "answer"):
-        table.add_column(title, justify="left" if title in ("model", "answer") else "right")
-    for row in rows:
-        size = row["rms"] if scan else row["misfit"]
-        shown = "" if size is None else (f"{1000 * size:.3g}" if scan else f"{size:.2e}")
-        gap = "" if row["difference"] is None else f"+{row['difference']:.1f}"
-        sure = "yes" if row["converged"] else f"no: {row['reason']}"
-        table.add_row(row["name"], gap, str(row["parameters"]), shown, sure)
-    return table
