@@ -280,7 +280,7 @@ def _result(
 
 def identifiable(found: Candidate) -> dict[str, str]:
     """For each parameter whether the scan determines it, and if not, why."""
-    from diffopt.gratings.base import kinds
+    from diffopt.gratings.parametric import kinds
 
     assert found.model is not None
     kind, out = kinds(found.model), {}

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from diffopt.fitting.scan_disc import Pits
 from diffopt.gratings import Parametric, Surface
-from diffopt.gratings.base import kinds
+from diffopt.gratings.parametric import kinds
 
 _P = TypeVar("_P", bound=Parametric)
 

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 from diffopt import discs
 from diffopt.errors import InputError
 from diffopt.fitting.scan_register import Scan
-from diffopt.gratings.base import Parametric, parameters
+from diffopt.gratings.parametric import Parametric, parameters
 
 # Pits smaller than this share of the largest are dust.
 _DUST = 0.1

@@ -24,7 +24,7 @@ from jaxtyping import Array, Float
 from diffopt.fitting.scan_codes import decoded, encoded, natural
 from diffopt.fitting.scan_register import Scan
 from diffopt.gratings import Ridges, Roughness, Surface
-from diffopt.gratings.base import kinds, seen_in_power
+from diffopt.gratings.parametric import kinds, seen_in_power
 
 # Cosine parts of the taper, as shares of a side.
 _TAPER = 0.1

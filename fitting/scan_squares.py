@@ -21,7 +21,7 @@ from diffopt.fitting.scan_codes import decoded, encoded, field, free
 from diffopt.fitting.scan_descent import descended
 from diffopt.fitting.scan_register import Scan
 from diffopt.gratings import Parametric
-from diffopt.gratings.base import kinds
+from diffopt.gratings.parametric import kinds
 
 # Cauchy's constant: 95 % of the efficiency of least squares under Gaussian noise.
 _CAUCHY = 2.385

@@ -12,7 +12,7 @@ import diffopt as do
 from diffopt import gratings
 from diffopt.errors import InputError
 from diffopt.gratings import Reach
-from diffopt.gratings.base import kinds, seen_in_power
+from diffopt.gratings.parametric import kinds, seen_in_power
 from diffopt.kernels import bessel
 
 SIGMA, LAM = 1.25, np.array([0.45, 0.6])
@@ -195,4 +195,8 @@ def test_what_is_wrong_is_said():
         gratings.Crossed(SINE, SINE)
     with pytest.raises(InputError, match="drawn at random, pass key"):
         gratings.Roughness(0.1, 1.0).heights((32, 32), 0.2)
+    with pytest.raises(InputError, match="Superposed: heights are drawn at random, pass key"):
+        RANDOM["superposed"].heights((32, 32), 0.2)
+    with pytest.raises(InputError, match="edges='round'"):
+        RANDOM["bumps"].heights((32, 32), 0.2, edges="round", key=jax.random.key(0))
     assert kinds(RANDOM["ridges"])["grating.period"] == "length"

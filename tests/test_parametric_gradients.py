@@ -9,7 +9,7 @@ import pytest
 
 from diffopt import gratings
 from diffopt.gratings import Reach
-from diffopt.gratings.base import kinds
+from diffopt.gratings.parametric import kinds
 
 SHAPE, PIXEL = (48, 44), (0.11, 0.12)
 KEY = jax.random.key(5)

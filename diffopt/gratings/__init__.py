@@ -1,7 +1,8 @@
 """Parametric surfaces with closed-form spectra: gratings, ridges, roughness, bumps, discs.
 
 ===============  ==========================================================
-`base`           parameters, heights and spectra that all of them have
+`parametric`     named parameters with their kinds
+`base`           heights and spectra that all of them have
 `profiles`       sinusoidal, blazed and binary gratings
 `trapezoid`      gratings with flat tops and sloping walls
 `crossed`        two gratings added

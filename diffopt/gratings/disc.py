@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffopt import discs
-from diffopt.gratings.base import Components, Reach, Surface, lines, parameters
+from diffopt.gratings.base import Components, Reach, Surface, lines
+from diffopt.gratings.parametric import parameters
 from diffopt.gratings.profiles import nearby
 from diffopt.gratings.trapezoid import Trapezoid
 

@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from diffopt.gratings.base import Components, Reach, Surface, parameters
+from diffopt.gratings.base import Components, Reach, Surface
 from diffopt.gratings.crossed import Crossed
+from diffopt.gratings.parametric import parameters
 from diffopt.gratings.profiles import Grating
 from diffopt.gratings.series import displaced
 from diffopt.random_fields import gaussian_field

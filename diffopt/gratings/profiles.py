@@ -27,7 +27,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float, Int
 
-from diffopt.gratings.base import Components, Reach, Surface, lines, parameters
+from diffopt.gratings.base import Components, Reach, Surface, lines
+from diffopt.gratings.parametric import parameters
 from diffopt.kernels import bessel
 
 # Nodes of the quadrature for J_m; the error is the sum of J_(m +- 512 k)(z), k > 0,

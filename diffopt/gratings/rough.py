@@ -8,7 +8,8 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from diffopt.gratings.base import Components, Reach, Surface, lines, parameters
+from diffopt.gratings.base import Components, Reach, Surface, lines
+from diffopt.gratings.parametric import parameters
 from diffopt.gratings.series import displaced
 from diffopt.kernels import ensemble
 from diffopt.random_fields import bumps, gaussian_field

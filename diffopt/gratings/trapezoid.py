@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float, Int
 
-from diffopt.gratings.base import parameters
+from diffopt.gratings.parametric import parameters
 from diffopt.gratings.profiles import Grating, frac, polar
 
 
