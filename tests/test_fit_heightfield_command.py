@@ -1,6 +1,7 @@
 """``diffopt fit heightfield``: scans and reflectance in; parameters, errors and pictures out."""
 
 import functools
+import io
 import json
 import math
 import re
@@ -11,10 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 import PIL.Image
 import pytest
+from rich.console import Console
 
 import diffopt as do
 from diffopt import fitting, gratings
-from diffopt.cli import fit_heightfield_output, main
+from diffopt.cli import fit_heightfield_output, fit_heightfield_table, main
 from diffopt.cli.progress import Stages
 from diffopt.drawing import pictures, surface_fits
 from diffopt.kernels import spectrum
@@ -355,6 +357,29 @@ def test_json_has_no_number_that_is_none():
         "g": [True, "x"],
     }
     json.dumps(found, allow_nan=False)
+
+
+def test_brackets_in_sentences_are_printed():
+    row = {"name": "disc", "difference": None, "parameters": 0, "misfit": None}
+    row |= {"converged": False, "reason": "expected [ny, nx]."}
+    parameter = {"value": 1.0, "error": None, "unit": "um", "identifiable": "not [bold]."}
+    content = {
+        "what": "reflectance",
+        "converged": False,
+        "reason": "no [red].",
+        "misfit": 0.1,
+        "units": {"misfit": "norm"},
+        "provenance": {},
+        "seconds": 1.0,
+        "parameters": {"period": parameter},
+        "ranking": [row | {"difference": 0.0, "misfit": 0.1}, row],
+        "notes": ["a [dim] note"],
+    }
+    console = Console(file=io.StringIO(), width=200)
+    fit_heightfield_table.show(console, content)
+    text = console.file.getvalue()
+    for words in ("no [red].", "not [bold].", "expected [ny, nx].", "a [dim] note"):
+        assert words in text
 
 
 def test_curves_of_every_shape_are_drawn(tmp_path):

@@ -15,7 +15,7 @@ def tell(content: dict[str, Any], output: Path | None) -> None:
     console = terminal()
     show(console, content)
     if output is not None:
-        console.print(f"results: {output}", soft_wrap=True)
+        console.print(f"results: {output}", soft_wrap=True, markup=False)
 
 
 def show(console: "Console", content: dict[str, Any]) -> None:
@@ -25,13 +25,15 @@ def show(console: "Console", content: dict[str, Any]) -> None:
 
 
 def _parts(content: dict[str, Any]) -> "list[RenderableType]":
+    # Sentences may hold brackets, which are not to be taken for styles.
+    from rich.markup import escape
     from rich.table import Table
 
     out: list[RenderableType] = []
     head = Table.grid(padding=(0, 2))
     model = f"{content['model']}, from " if "model" in content else ""
     head.add_row("fit", f"{model}{content['what']}")
-    head.add_row("answer" if content["converged"] else "no answer", content["reason"])
+    head.add_row("answer" if content["converged"] else "no answer", escape(content["reason"]))
     head.add_row("misfit", f"{content['misfit']:.3g} ({content['units']['misfit']})")
     if content.get("chi2") is not None:
         head.add_row("chi-squared", f"{content['chi2']:.3g} per value")
@@ -50,14 +52,14 @@ def _parts(content: dict[str, Any]) -> "list[RenderableType]":
     if "parameters" in content:
         out += ["", _table(content)]
         loose = [
-            row["identifiable"]
+            escape(row["identifiable"])
             for row in content["parameters"].values()
             if row["identifiable"] != "determined"
         ]
         out += ["", *(f"- {text}" for text in loose)] if loose else []
     if len(content.get("ranking", ())) > 1:
         out += ["", _ranking(content["ranking"])]
-    out += [f"note: {note}" for note in content["notes"]]
+    out += [f"note: {escape(note)}" for note in content["notes"]]
     return out
 
 
@@ -85,6 +87,7 @@ def _table(content: dict[str, Any]) -> Any:
 
 
 def _ranking(rows: list[dict[str, Any]]) -> Any:
+    from rich.markup import escape
     from rich.table import Table
 
     table = Table(box=None, padding=(0, 2, 0, 0))
@@ -95,6 +98,6 @@ def _ranking(rows: list[dict[str, Any]]) -> Any:
         size = row["rms"] if scan else row["misfit"]
         shown = "" if size is None else (f"{1000 * size:.3g}" if scan else f"{size:.2e}")
         gap = "" if row["difference"] is None else f"+{row['difference']:.1f}"
-        sure = "yes" if row["converged"] else f"no: {row['reason']}"
+        sure = "yes" if row["converged"] else f"no: {escape(row['reason'])}"
         table.add_row(row["name"], gap, str(row["parameters"]), shown, sure)
     return table
