@@ -4,10 +4,12 @@ Inverse problems solved with optimistix.
 
 ==================  ==========================================================
 `measured`          measured reflectance, checked where it comes in
-`heightfield`       a grating's parameters from it, by a function that can be traced
-`reflectance`       a surface's parameters from it, from the data alone: `starts` by the grating
-                    equation, `forward` values, `maps` of bounds, `solving`, `answers`,
-                    `templates` of surfaces by name
+`measured_files`    the same from and to files
+`heightfield`       from a scan or reflectance to the surface, by one call
+`reflectance`       a surface's parameters from reflectance, from the data alone: `fit_settings`,
+                    `starts` by the grating equation and their `start_design`, `forward` values,
+                    `maps` of bounds, `solving`, `answers`, `templates` of surfaces by name
+`ranking`           several kinds of surfaces for the same reflectance, ranked
 `scan`              a surface's parameters from its heights, models ranked: `scan_register`,
                     `scan_candidates`, `scan_random`, `scan_disc`, `scan_squares`, `scan_noise`,
                     `scan_errors`, `scan_codes`, `scan_setting`, `scan_convention`
@@ -28,14 +30,14 @@ if __name__ != "diffopt.fitting":
         "of every module would be loaded"
     )
 
+from diffopt.fitting.answers import RankedModel as RankedModel
 from diffopt.fitting.answers import ReflectanceFit as ReflectanceFit
 from diffopt.fitting.brdf import fit_brdf as fit_brdf
 from diffopt.fitting.comparison import compare as compare
+from diffopt.fitting.fit_settings import FitSettings as FitSettings
 from diffopt.fitting.freeform import HeightsFit as HeightsFit
 from diffopt.fitting.freeform import fit_heights as fit_heights
-from diffopt.fitting.heightfield import HeightfieldFit as HeightfieldFit
 from diffopt.fitting.heightfield import fit_heightfield as fit_heightfield
-from diffopt.fitting.heightfield import grating_brdf as grating_brdf
 from diffopt.fitting.lobe_samples import fit_samples as fit_samples
 from diffopt.fitting.lobe_settings import LobeSettings as LobeSettings
 from diffopt.fitting.lobe_targets import fit_environment as fit_environment
@@ -43,7 +45,7 @@ from diffopt.fitting.lobe_targets import fit_lobes as fit_lobes
 from diffopt.fitting.lobe_targets import fit_table as fit_table
 from diffopt.fitting.lobes import LobeFit as LobeFit
 from diffopt.fitting.measured import Measured as Measured
-from diffopt.fitting.reflectance import FitSettings as FitSettings
+from diffopt.fitting.ranking import rank_reflectance as rank_reflectance
 from diffopt.fitting.reflectance import fit_reflectance as fit_reflectance
 from diffopt.fitting.scan import ScanFit as ScanFit
 from diffopt.fitting.scan import fit_scan as fit_scan

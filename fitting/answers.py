@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from diffopt.fitting import forward
 from diffopt.gratings import Reach, Surface
-from diffopt.gratings.base import UNSEEN, kinds
+from diffopt.gratings.parametric import UNSEEN, kinds
 
 #: A parameter is not determined if its standard error exceeds this share of it (of 1 for shares
 #: and angles, in radians).
@@ -46,6 +46,35 @@ class Minimum:
 
 
 @dataclasses.dataclass(frozen=True)
+class RankedModel:
+    """A row of the ranking of models for the same data.
+
+    Attributes
+    ----------
+    name
+        Of the model.
+    criterion
+        Bayesian information criterion: smaller is better.
+    difference
+        To the best of the ranking.
+    parameters
+        That were fitted, a free gain included.
+    misfit
+        Norm of the residuals over that of the data, both over the noise.
+    converged, reason
+        Whether it is an answer, and a sentence.
+    """
+
+    name: str
+    criterion: float
+    difference: float
+    parameters: int
+    misfit: float
+    converged: bool
+    reason: str
+
+
+@dataclasses.dataclass(frozen=True)
 class ReflectanceFit:
     """Result of `fit_reflectance`.
 
@@ -74,8 +103,15 @@ class ReflectanceFit:
         Of the start that led to the model.
     values
         Fitted values, [M, C], as those of the data.
-    history
-        Best loss after each stage, by name.
+    curves
+        By stage, the loss of each of its starts after each step, [S, N]; NaN after the last.
+        Coarse stages, one after the other, compare blurred values.
+    criterion
+        Bayesian information criterion.
+    interrupted
+        Whether it ended before it was done.
+    ranking
+        All models that were compared, best first.
     """
 
     model: Surface
@@ -90,7 +126,10 @@ class ReflectanceFit:
     minima: tuple[Minimum, ...]
     steps: int
     values: np.ndarray
-    history: dict[str, float]
+    curves: dict[str, np.ndarray]
+    criterion: float
+    interrupted: bool
+    ranking: tuple[RankedModel, ...] = ()
 
     @property
     def errors(self) -> dict[str, float]:
@@ -154,7 +193,7 @@ def judged(
     interrupted: str | None,
     minima: tuple[Minimum, ...],
     steps: int,
-    history: dict[str, float],
+    curves: dict[str, np.ndarray],
 ) -> ReflectanceFit:
     """Put together the answer at a solution.
 
@@ -171,7 +210,7 @@ def judged(
         Parameters that ran against a bound.
     settled, interrupted
         Whether the solver ended by its tolerance; what it was doing when it was interrupted.
-    minima, steps, history
+    minima, steps, curves
         See `ReflectanceFit`.
     """
     found, rows, gain, values = jax.device_get(_linearised(job, surface, names, reach))
@@ -181,6 +220,10 @@ def judged(
     chi2 = (loss * scale) ** 2 / freedom if noise_known else None
     variance = 1.0 / scale**2 if noise_known else loss**2 / freedom
     matrix = covariance(rows, variance)
+    count = len(names) + job.free
+    # Twice the negative logarithm of the likelihood, up to a constant of the data.
+    misfit = (loss * scale) ** 2 if noise_known else found.size * math.log(max(loss, 1e-300) ** 2)
+    criterion = misfit + count * math.log(found.size)
     identifiable = _identifiable(surface, names, matrix, held, bounded)
     converged, reason = _verdict(
         loss, chi2, settled, interrupted, identifiable, names, bounded, steps
@@ -198,7 +241,9 @@ def judged(
         minima,
         steps,
         np.asarray(values),
-        history,
+        curves,
+        criterion,
+        interrupted is not None,
     )
 
 
@@ -306,7 +351,7 @@ def as_dict(fit: ReflectanceFit) -> dict[str, Any]:
             for name, kind in every.items()
         },
         "names": list(fit.names),
-        "covariance": np.where(np.isfinite(fit.covariance), fit.covariance, -1.0).tolist(),
+        "covariance": [[v if math.isfinite(v) else None for v in row] for row in fit.covariance],
         "gain": fit.gain,
         "misfit": fit.loss,
         "chi2": fit.chi2,
@@ -314,5 +359,5 @@ def as_dict(fit: ReflectanceFit) -> dict[str, Any]:
         "reason": fit.reason,
         "steps": fit.steps,
         "minima": [dataclasses.asdict(minimum) for minimum in fit.minima],
-        "history": fit.history,
+        "ranking": [dataclasses.asdict(row) for row in fit.ranking],
     }

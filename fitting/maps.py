@@ -22,7 +22,7 @@ from jaxtyping import Array, Float
 
 from diffopt.errors import InputError
 from diffopt.gratings import Surface
-from diffopt.gratings.base import kinds
+from diffopt.gratings.parametric import kinds
 
 # A parameter this close to a bound, in y, has run against it.
 _FAR = 7.0
@@ -45,6 +45,16 @@ class Bounds(eqx.Module):
     low: Float[Array, " P"]
     high: Float[Array, " P"]
     shapes: tuple[str, ...] = eqx.field(static=True)
+
+    def of(self, head: str) -> "Bounds":
+        """Those of a surface within, by its name."""
+        keep = [k for k, name in enumerate(self.names) if name.startswith(f"{head}.")]
+        return Bounds(
+            tuple(self.names[k].removeprefix(f"{head}.") for k in keep),
+            self.low[np.array(keep)],
+            self.high[np.array(keep)],
+            tuple(self.shapes[k] for k in keep),
+        )
 
     def values(self, y: Float[Array, " P"]) -> Float[Array, " P"]:
         """Parameters that unbounded numbers stand for; sizes where these are heights."""

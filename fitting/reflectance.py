@@ -18,82 +18,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diffopt import checks
 from diffopt.diffraction import Shadowing
 from diffopt.errors import InputError
-from diffopt.fitting import answers, forward, solving, starts
+from diffopt.fitting import answers, forward, solving, start_design, starts
 from diffopt.fitting.answers import Minimum, ReflectanceFit
+from diffopt.fitting.fit_settings import FitSettings
 from diffopt.fitting.maps import Bounds, default_bounds
 from diffopt.fitting.measured import Measured
-from diffopt.fitting.templates import lattice, templates
+from diffopt.fitting.templates import lattice, nested, templates
 from diffopt.fresnel import Reflectance
-from diffopt.gratings import Reach, Surface, reach_for
-from diffopt.gratings.base import kinds, seen_in_power
+from diffopt.gratings import CompactDisc, Reach, Surface, reach_for
+from diffopt.gratings.parametric import kinds, seen_in_power
 
 Progress = Callable[[str, float, float], None]
 
-
-@dataclasses.dataclass(frozen=True)
-class FitSettings:
-    """How a surface is fitted to reflectance.
-
-    Attributes
-    ----------
-    lattices
-        Grating vectors taken from the data. More cost time in proportion and find gratings
-        whose first orders are dark.
-    design
-        Points of the other parameters for each lattice; doubled for each parameter beyond the
-        first.
-    starts
-        Solves from the best of them. One is enough for a sinusoid; saws and steps have many
-        minima.
-    finalists
-        Of these, finished on all data.
-    rows
-        Pairs of directions of the comparison and of the first solves; fewer cost less and are
-        noisier.
-    stages
-        Coarse stages from given starts: none make a fit faster and its basin narrower.
-    coarsest
-        Coherence window of the first of them, in periods of the starts.
-    solver
-        ``normal-lm`` (Levenberg-Marquardt on normal equations), or optimistix's own ``lm``,
-        ``dogleg`` and ``bfgs``.
-    tolerance
-        Of the last solve, on y and on the squared loss; the root of the rounding unit if None.
-    max_steps
-        Of each solve.
-    """
-
-    lattices: int = 8
-    design: int = 24
-    starts: int = 12
-    finalists: int = 3
-    rows: int = 400
-    stages: int = 4
-    coarsest: float = 0.2
-    solver: solving.Solver = "normal-lm"
-    tolerance: float | None = None
-    max_steps: int = 64
-
-    def __post_init__(self) -> None:
-        checks.choice("solver", self.solver, solving.SOLVERS)
-        for name, least in (
-            ("lattices", 1),
-            ("design", 1),
-            ("starts", 1),
-            ("finalists", 1),
-            ("rows", 8),
-            ("stages", 0),
-            ("max_steps", 1),
-        ):
-            if getattr(self, name) < least:
-                raise InputError(f"{name} must be {least} or more; received {getattr(self, name)}")
-
-
 # Coarse stages compare every value with every other.
 _MOST_VALUES = 4096
+# Of the solves on some rows: tolerance, and terms of random displacements.
+_COARSE, _FEW_TERMS = 1e-3, 12
+# Fall of chi-squared, where noise alone makes it 1 a value, that is not worth a step.
+_CRAWL = 1e-3
 
 
 def fit_reflectance(
@@ -157,93 +101,114 @@ def fit_reflectance(
         wavelengths=(float(measured.wavelengths.min()), float(measured.wavelengths.max())),
         given=bounds,
     )
-    run = _Run(measured, job, like, names, box, settings, frequency, kappa, progress)
+    run = _Run(measured, job, like, box, settings, frequency, kappa, progress)
+    interrupted = None
     try:
-        solved = run.from_starts(given) if known else run.from_data()
-        interrupted = None
+        if known:
+            run.from_starts(given)
+        else:
+            run.from_data()
     except KeyboardInterrupt:
-        solved, interrupted = run.best, run.doing
-        if solved is None:
+        interrupted = run.doing
+        if run.last is None:
             raise
-    return run.answer(solved, held, interrupted)
+    return run.answer(held, interrupted)
+
+
+@dataclasses.dataclass
+class _Ended:
+    """Where the solves of a stage ended."""
+
+    like: Surface
+    solved: solving.Solved
+    reach: Reach
+
+    @property
+    def loss(self) -> np.ndarray:
+        return np.nan_to_num(np.asarray(self.solved.loss), nan=np.inf)
+
+    @property
+    def y(self) -> np.ndarray:
+        return np.asarray(self.solved.y)
 
 
 @dataclasses.dataclass
 class _Run:
-    """One fit under way; `best` is what an interruption leaves."""
+    """One fit under way; `last` is what an interruption leaves."""
 
     measured: Measured
     job: forward.Job
     like: Surface
-    names: tuple[str, ...]
     box: Bounds
     settings: FitSettings
     frequency: float
     kappa: float
     progress: Progress | None
-    best: tuple[Any, np.ndarray, solving.Solved, Reach] | None = None
+    last: _Ended | None = None
     doing: str = "the start"
-    history: dict[str, float] = dataclasses.field(default_factory=dict)
+    minima: tuple[Minimum, ...] = ()
+    curves: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
 
     def tell(self, doing: str, share: float) -> None:
         self.doing = doing
         if self.progress is not None:
-            loss = math.inf if self.best is None else float(np.min(self.best[2].loss))
-            self.progress(doing, share, loss)
+            self.progress(
+                doing, share, math.inf if self.last is None else float(min(self.last.loss))
+            )
 
-    def reach(self, longest: float, broad: float = 0.0) -> Reach:
+    def reach(self, longest: float) -> Reach:
         """Static sizes, rounded so that similar data share their programs."""
         found = reach_for(
             longest=longest,
             frequency=self.frequency,
             coherence=float(self.measured.coherence),
             phase=self.kappa * self._highest(),
-            broad=broad,
         )
         return Reach(
             next((n for n in (1, 2, 3, 4, 6) if n >= found.each_side), found.each_side),
-            16 * math.ceil(found.highest / 16),
+            32 * math.ceil(found.highest / 32),
             32.0 * math.ceil(found.phase / 32.0),
             found.terms,
         )
 
     def _highest(self) -> float:
-        every = kinds(self.like)
+        every, names = kinds(self.like), self.box.names
         sizes = [
             float(high)
-            for name, high in zip(self.names, self.box.high, strict=True)
+            for name, high in zip(names, self.box.high, strict=True)
             if every[name] == "height"
         ]
         rest = [abs(float(self.like.get(n))) for n in every if every[n] == "height"]
         return max([*sizes, *rest, 1e-3])
 
     def solve(
-        self, name: str, job: forward.Job, like: Any, y: np.ndarray, reach: Reach, **options: Any
-    ) -> solving.Solved:
-        wide = jnp.result_type(float)
+        self, job: forward.Job, like: Surface, y: np.ndarray, reach: Reach, **options: Any
+    ) -> _Ended:
         eps = float(jnp.finfo(self.like.dtype).eps)
         options = {
             "blurs": None,
             "solver": self.settings.solver,
             "tolerance": self.settings.tolerance or eps**0.5,
             "max_steps": self.settings.max_steps,
+            "flat": _CRAWL / job.values.size,
             **options,
         }
-        found = solving.solve(job, like, self.box, jnp.asarray(y, wide), reach=reach, **options)
+        start = jnp.asarray(y, jnp.result_type(float))
+        found = solving.solve(job, like, self.box, start, reach=reach, **options)
         found = jax.block_until_ready(found)
-        self.history[name] = float(np.nanmin(np.asarray(found.loss)))
-        self.best = (like, y, found, reach)
-        return found
+        curves = np.asarray(found.curves)
+        curves = curves.reshape(len(curves), -1)
+        self.curves[self.doing] = curves[:, np.isfinite(curves).any(0)]
+        self.last = _Ended(like, found, reach)
+        self.minima = start_design.minima(self.last.y, self.last.loss, self.box)
+        return self.last
 
-    def from_starts(self, given: list[Surface]) -> Any:
-        values = np.array([[float(s.get(n)) for n in self.names] for s in given])
+    def from_starts(self, given: list[Surface]) -> None:
+        values = np.array([[float(s.get(n)) for n in self.box.names] for s in given])
         y = self.box.unbounded(values)
         like = jax.tree.map(lambda *leaves: jnp.stack(leaves), *given)
-        paths = [period for period, _ in lattice(self.like)]
-        lengths = [float(s.get(p)) for s in given for p in paths]
-        longest = 2.0 * max(lengths, default=1.0)
-        reach = self.reach(longest)
-        blurs, job = None, self.job
+        lengths = [float(s.get(path)) for s in given for path, _ in lattice(self.like)]
+        reach = self.reach(2.0 * max(lengths, default=1.0))
         if self.settings.stages and lengths and self.job.weights is None:
             self.tell("coarse to fine", 0.1)
             per_row = self.job.fx.shape[1]
@@ -253,128 +218,91 @@ class _Run:
             coarsest = jnp.asarray(self.settings.coarsest * np.mean(lengths), dtype)
             sigma = self.measured.coherence.astype(dtype)
             blurs = solving.windows(job, sigma, coarsest, stages=self.settings.stages)
-            found = self.solve("coarse to fine", job, like, y, reach, blurs=blurs)
-            y = np.asarray(found.y)
+            y = self.solve(job, like, y, reach, blurs=blurs).y
         self.tell("least squares", 0.5)
-        self.solve("least squares", self.job, like, y, reach)
-        return self.best
+        self.solve(self.job, like, y, reach)
 
-    def from_data(self) -> Any:
+    def from_data(self) -> None:
         settings = self.settings
         self.tell("lattices", 0.0)
-        some = starts.brightest(self.job, settings.rows)
-        job = forward.rows(self.job, some)
-        paths = lattice(self.like)
-        tried = self._tried(job, paths)
-        values, longest = tried
-        reach = self.reach(1.1 * longest)
+        job = forward.rows(self.job, starts.brightest(self.job, settings.rows))
+        head = nested(self.like)
+        if head:
+            values, longest = self.within(head)
+            count, groups = max(settings.starts // 2, 1), 0
+        else:
+            coherence = float(self.measured.coherence)
+            values = start_design.tried(job, self.like, self.box, settings, coherence)
+            # Of any period, so that all data from the same directions share a program.
+            longest = self.longest(np.asarray(self.box.high)[None])
+            count, groups = settings.starts, settings.lattices if lattice(self.like) else 0
+        coarse = dataclasses.replace(self.reach(longest), terms=_FEW_TERMS)
         self.tell("comparison of starts", 0.2)
         y = self.box.unbounded(values)
-        like = _copies(self.like, len(y))
-        wide = jnp.result_type(float)
-        loss = np.asarray(solving.losses(job, like, self.box, jnp.asarray(y, wide), reach=reach))
-        chosen = _diverse(loss, settings.starts, len(paths) and settings.lattices)
+        wide = jnp.asarray(y, jnp.result_type(float))
+        loss = solving.losses(job, _copies(self.like, len(y)), self.box, wide, reach=coarse)
+        chosen = start_design.diverse(np.asarray(loss), count, groups)
         self.tell("least squares on some rows", 0.4)
-        found = self.solve(
-            "least squares on some rows",
+        ended = self.solve(
             job,
             _copies(self.like, len(chosen)),
             y[chosen],
-            reach,
-            tolerance=1e-3,
-            max_steps=min(self.settings.max_steps, 24),
+            coarse,
+            tolerance=_COARSE,
+            flat=_COARSE,
+            max_steps=min(settings.max_steps, 24),
         )
-        loss = np.nan_to_num(np.asarray(found.loss), nan=np.inf)
-        y = np.asarray(found.y)
-        minima = self.minima(y, loss)
-        order = _apart(y, loss, settings.finalists)
+        minima = self.minima
+        order = start_design.finalists(ended.y, ended.loss, settings.finalists)
         self.tell("least squares on all data", 0.8)
-        like = _copies(self.like, len(order))
-        self.solve("least squares on all data", self.job, like, y[order], reach)
-        self.known = minima
-        return self.best
+        y = ended.y[order]
+        ends = np.stack([np.asarray(self.box.values(jnp.asarray(row))) for row in y])
+        reach = self.reach(1.1 * self.longest(ends))
+        self.solve(self.job, _copies(self.like, len(order)), y, reach)
+        self.minima = minima
 
-    def _tried(self, job: forward.Job, paths: list[tuple[str, str]]) -> tuple[np.ndarray, float]:
-        """Parameters of all starts to compare, [S, P], and the longest period among them."""
-        settings, names = self.settings, self.names
-        own = [p for pair in paths for p in pair]
-        others = [k for k, name in enumerate(names) if name not in own]
-        count = settings.design * 2 ** max(len(others) - 1, 0)
-        points = starts.halton(min(count, 512), max(len(others), 1))
-        design = np.zeros((len(points), len(names)))
-        low, high = np.asarray(self.box.low, float), np.asarray(self.box.high, float)
-        for column, k in enumerate(others):
-            design[:, k] = _spread(names[k], self.box.shapes[k], low[k], high[k], points[:, column])
-        if not paths:
-            return design, 1.0
-        vectors = starts.lattices(job, float(self.measured.coherence), settings.lattices)
-        if not len(vectors):
-            raise InputError(
-                "measured: expected light away from the mirror direction to take a period from; "
-                "received frequencies within the mirror's peak only. Give a start"
-            )
-        groups = _groups(
-            vectors, len(paths), settings.lattices, signed="Blazed" in str(type(self.like))
-        )
-        out = []
-        for group in groups:
-            block = design.copy()
-            for (period, angle), vector in zip(paths, group, strict=True):
-                for path, value in (
-                    (period, 1.0 / math.hypot(*vector)),
-                    (angle, math.atan2(vector[1], vector[0])),
-                ):
-                    if path in names:
-                        block[:, names.index(path)] = value
-            out.append(block)
-        longest = max(1.0 / math.hypot(*vector) for group in groups for vector in group)
-        return np.concatenate(out), longest
+    def within(self, head: str) -> tuple[np.ndarray, float]:
+        """Starts about a fit of the surface within, and their longest period."""
+        inner, box = getattr(self.like, head), self.box.of(head)
+        run = dataclasses.replace(self, like=inner, box=box, curves={}, progress=None)
+        run.from_data()
+        found = [one.parameters for one in run.minima[:2]]
+        found = (found * 2)[:2]
+        # What is not free lies in the surface itself.
+        held = {n: float(inner.get(n)) for n in kinds(inner) if n not in box.names}
+        starts = [held | one for one in found]
+        longest = 1.3 * max(one[path] for one in starts for path, _ in lattice(inner))
+        return start_design.around(self.like, self.box, head, starts, self.settings.design), longest
 
-    known: tuple[Minimum, ...] = ()
+    def longest(self, values: np.ndarray) -> float:
+        """Longest period among parameters [S, P]; 1 for a surface without one."""
+        names = self.box.names
+        found = [
+            values[:, names.index(path)].max() if path in names else float(self.like.get(path))
+            for path, _ in lattice(self.like)
+        ]
+        return max(found, default=1.0)
 
-    def minima(self, y: np.ndarray, loss: np.ndarray) -> tuple[Minimum, ...]:
-        """Distinct places where solves ended."""
-        found: list[Minimum] = []
-        order = np.argsort(loss)
-        left = list(order[np.isfinite(loss[order])])
-        while left:
-            first = left[0]
-            near = [k for k in left if np.abs(y[k] - y[first]).max() < 0.02]
-            values = np.asarray(self.box.values(jnp.asarray(y[first])))
-            found.append(
-                Minimum(
-                    dict(zip(self.names, values.tolist(), strict=True)),
-                    float(loss[first]),
-                    len(near),
-                )
-            )
-            left = [k for k in left if k not in near]
-        return tuple(found)
-
-    def answer(
-        self, solved: Any, held: Mapping[str, str], interrupted: str | None
-    ) -> ReflectanceFit:
-        like, _, found, reach = solved
-        y, loss = np.asarray(found.y), np.nan_to_num(np.asarray(found.loss), nan=np.inf)
-        best = int(np.argmin(loss))
-        chosen = jax.tree.map(lambda leaf: leaf[best], like)
+    def answer(self, held: Mapping[str, str], interrupted: str | None) -> ReflectanceFit:
+        assert self.last is not None
+        y, solved = self.last.y, self.last.solved
+        best = int(np.argmin(self.last.loss))
+        chosen = jax.tree.map(lambda leaf: leaf[best], self.last.like)
         surface = self.box.surface(chosen, jnp.asarray(y[best], self.like.dtype))
-        surface = conventional(surface)
-        norm = float(jnp.linalg.norm(self.measured.values / self.measured.noise))
         return answers.judged(
             self.job,
-            surface,
-            self.names,
-            reach,
+            conventional(surface),
+            self.box.names,
+            self.last.reach,
             noise_known=self.measured.noise_known,
-            scale=norm,
+            scale=float(jnp.linalg.norm(self.measured.values / self.measured.noise)),
             held=held,
             bounded=self.box.at_bound(y[best]),
-            settled=bool(np.asarray(found.settled)[best]),
+            settled=bool(np.asarray(solved.settled)[best]),
             interrupted=interrupted,
-            minima=self.known or self.minima(y, loss),
-            steps=int(np.asarray(found.steps)[best]),
-            history=dict(self.history),
+            minima=self.minima,
+            steps=int(np.asarray(solved.steps)[best]),
+            curves=self.curves,
         )
 
 
@@ -384,14 +312,16 @@ def conventional(surface: Surface) -> Surface:
     A profile that is its own mirror image repeats after half a turn, and is taken to lie in
     (-pi/2, pi/2]; a saw in (-pi, pi].
     """
-    from diffopt.gratings import Blazed
-
     values = {}
     for period, angle in lattice(surface):
         owner = surface
         for part in period.split(".")[:-1]:
             owner = getattr(owner, part)
-        turn = 2.0 * math.pi if isinstance(owner, Blazed) else math.pi
+        turn = (
+            math.pi
+            if getattr(owner, "symmetric", "Blazed" not in str(type(owner)))
+            else 2.0 * math.pi
+        )
         at = surface.get(angle)
         values[angle] = at - turn * jnp.ceil(at / turn - 0.5)
     return surface.replaced(values) if values else surface
@@ -399,68 +329,6 @@ def conventional(surface: Surface) -> Surface:
 
 def _copies(surface: Surface, count: int) -> Surface:
     return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *leaf.shape)), surface)
-
-
-def _spread(name: str, shape: str, low: float, high: float, t: np.ndarray) -> np.ndarray:
-    """Values of a parameter over the part of its range where starts are worth it."""
-    last = name.split(".")[-1]
-    if shape == "share":
-        # Ridges of duty d and 1 - d reflect alike.
-        top = 0.5 if last in ("duty", "width") else high
-        return low + (top - low) * (0.05 + 0.9 * t)
-    if last in ("depth", "amplitude", "height"):
-        # Even in the depth itself: phases, and minima, are.
-        return high * (0.02 + 0.6 * t)
-    return low * (high / low) ** (0.2 + 0.6 * t)
-
-
-def _groups(vectors: np.ndarray, count: int, most: int, *, signed: bool) -> list[tuple[Any, ...]]:
-    """Lattices of one vector, both ways round where that matters, or pairs of vectors."""
-    if count == 1:
-        ways = (1.0, -1.0) if signed else (1.0,)
-        return [(way * vector,) for vector in vectors for way in ways]
-    pairs = []
-    for j in range(len(vectors)):
-        for k in range(j):
-            a, b = vectors[k], vectors[j]
-            sine = abs(a[0] * b[1] - a[1] * b[0]) / (math.hypot(*a) * math.hypot(*b))
-            if sine > 0.2:
-                pairs += [(a, b), (b, a)]
-    if not pairs:
-        a = vectors[0]
-        pairs = [(a, np.array([-a[1], a[0]]))]
-    return pairs[:most]
-
-
-def _diverse(loss: np.ndarray, count: int, groups: int) -> np.ndarray:
-    """The best starts, no more than a third of them from one lattice."""
-    loss = np.nan_to_num(loss, nan=np.inf)
-    size = max(len(loss) // max(groups, 1), 1) if groups else 1
-    most = max(math.ceil(count / 3), 1) if groups else count
-    taken: dict[int, int] = {}
-    chosen = []
-    for k in np.argsort(loss):
-        group = int(k) // size
-        if taken.get(group, 0) < most:
-            taken[group] = taken.get(group, 0) + 1
-            chosen.append(int(k))
-        if len(chosen) == count:
-            break
-    # Always the same number, so that programs are shared.
-    return np.array((chosen * math.ceil(count / len(chosen)))[:count])
-
-
-def _apart(y: np.ndarray, loss: np.ndarray, count: int) -> np.ndarray:
-    """The best ends that differ from each other; repeated where few are near the best."""
-    chosen: list[int] = []
-    for k in np.argsort(loss):
-        if chosen and loss[k] > 1.5 * loss[chosen[0]] + 1e-6:
-            break
-        if all(np.abs(y[k] - y[j]).max() > 0.02 for j in chosen):
-            chosen.append(int(k))
-        if len(chosen) == count:
-            break
-    return np.array((chosen * count)[:count])
 
 
 def _free(
@@ -477,8 +345,6 @@ def _free(
     for _, angle in lattice(like):
         if _in_plane(measured):
             held[angle] = f"{angle} was held: all directions of the data lie in one plane"
-    from diffopt.gratings import CompactDisc
-
     if isinstance(like, CompactDisc):
         held |= {n: f"{n} was held: pass free= to fit it" for n in ("bit", "wall")}
     return tuple(name for name in seen if name not in held), held

@@ -63,7 +63,7 @@ class NormalDescent(optx.AbstractDescent[PyTree, optx.FunctionInfo.EvalGradHessi
 class _State(eqx.Module):
     first: Bool[Array, ""]
     trial: PyTree
-    info: Any
+    f_info: Any
     aux: PyTree
     step_size: Float[Array, ""]
     terminate: Bool[Array, ""]
@@ -75,7 +75,8 @@ class NormalLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
     The damping falls to a fifth after a step that lowers the cost and grows sixfold after one
     that does not. Stops when a step is within the tolerances, both the parameters' and the
-    cost's, or when no step that is long enough to matter lowers the cost.
+    cost's, when a step without much damping lowers the cost by less than ``flat``, or when no step
+    that is long enough to matter lowers it.
 
     Parameters
     ----------
@@ -85,6 +86,8 @@ class NormalLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         Norm of a pytree; the largest entry by default.
     descent
         From normal equations to a step.
+    flat
+        Share of the cost; ends the crawl along parameters that the data do not hold.
 
     Raises
     ------
@@ -96,6 +99,7 @@ class NormalLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     atol: float
     norm: Callable[[PyTree], Any] = optx.max_norm
     descent: optx.AbstractDescent = NormalDescent()
+    flat: float = 0.0
 
     def init(
         self,
@@ -136,13 +140,13 @@ class NormalLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         matrix, slope, cost = normal_equations(residual, rows)
         _, unravel = ravel_pytree(y)
         found = _info(0.5 * cost, unravel(slope), matrix)
-        better = state.first | (found.f < state.info.f)
+        better = state.first | (found.f < state.f_info.f)
         size = state.step_size * jnp.where(state.first, 1.0, jnp.where(better, 5.0, 1.0 / 6.0))
         size = jnp.clip(size, 1e-6, 1e9)
         terminate = ~state.first & self._settled(y, state, found, better)
 
         new = (state.trial, found, rows)
-        old = (y, state.info, state.aux)
+        old = (y, state.f_info, state.aux)
         kept, info, aux = jax.tree.map(lambda a, b: jnp.where(better, a, b), new, old)
         difference, result = self.descent.step(size, info)
         trial = jax.tree.map(jnp.add, kept, difference)
@@ -153,9 +157,11 @@ class NormalLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         moved = jax.tree.map(jnp.subtract, state.trial, y)
         scale = jax.tree.map(lambda a: self.atol + self.rtol * jnp.abs(a), y)
         short = self.norm(jax.tree.map(jnp.divide, moved, scale)) < 1.0
-        fall = jnp.abs(found.f - state.info.f) <= self.atol**2 + self.rtol * state.info.f
+        fall = jnp.abs(found.f - state.f_info.f) <= self.atol**2 + self.rtol * state.f_info.f
         stuck = ~better & (state.step_size <= 1e-6)
-        return (short & fall) | stuck
+        gained = state.f_info.f - found.f
+        crawling = better & (state.step_size >= 1.0) & (gained < self.flat * state.f_info.f)
+        return (short & fall) | stuck | crawling
 
     def terminate(
         self,

@@ -31,12 +31,16 @@ class Solved(eqx.Module):
         Of all stages, [S].
     settled
         Whether the last stage ended by its tolerance and not by its number of steps, [S].
+    curves
+        Loss after each step, first of the coarse stages under their blurs, [S, K + 1, N];
+        NaN after the last.
     """
 
     y: Float[Array, "S P"]
     loss: Float[Array, " S"]
     steps: Int[Array, " S"]
     settled: Any
+    curves: Float[Array, "S K N"]
 
 
 @eqx.filter_jit
@@ -51,6 +55,7 @@ def solve(
     solver: Solver,
     tolerance: float,
     max_steps: int,
+    flat: float = 0.0,
 ) -> Solved:
     """Least squares from every start, all in one program.
 
@@ -69,6 +74,9 @@ def solve(
     reach, solver, tolerance, max_steps
         What is summed; the method; its tolerance on y and on the squared loss; steps of each
         stage.
+    flat
+        Share of the squared loss below which a fall ends a solve by ``normal-lm``, see
+        `NormalLevenbergMarquardt`.
     """
     # Optimistix's step size has JAX's default type and its linear solves take no other: a
     # float32 model is evaluated in float32 and stepped in float64 where that is on.
@@ -77,33 +85,87 @@ def solve(
     def residuals(like: Surface, y: Array) -> Array:
         return forward.residuals(job, bounds.surface(like, y.astype(like.dtype)), reach)
 
-    def one(like: Surface, y: Array, blur: Array | None) -> tuple[Array, Array, Array]:
+    def one(like: Surface, y: Array, blur: Array | None) -> tuple[Array, ...]:
         def at(y: Array) -> Array:
             found = residuals(like, y)
             found = found if blur is None else jnp.matmul(blur, found, precision="highest")
             return found.astype(wide)
 
         start = y
-        done = _solution(at, y, solver, tolerance, max_steps)
+        done = _solution(at, y, solver, tolerance, max_steps, flat)
         # A stage that failed hands on where it began.
         y = jnp.where(jnp.isfinite(done.value), done.value, start)
-        return y, done.stats["num_steps"], done.result == optx.RESULTS.successful
+        settled = done.result == optx.RESULTS.successful
+        return y, done.stats["num_steps"], settled, done.stats["curve"]
 
     y, steps = y.astype(wide), jnp.zeros(y.shape[:1], int)
+    before = jnp.zeros((0, len(y), max_steps), wide)
     if blurs is not None:
 
-        def stage(carry: tuple[Array, Array], blur: Array) -> tuple[tuple[Array, Array], None]:
+        def stage(carry: tuple[Array, Array], blur: Array) -> tuple[tuple[Array, Array], Array]:
             y, steps = carry
-            y, more, _ = jax.vmap(lambda like, y: one(like, y, blur))(like, y)
-            return (y, steps + more), None
+            y, more, _, curve = jax.vmap(lambda like, y: one(like, y, blur))(like, y)
+            return (y, steps + more), curve
 
-        (y, steps), _ = jax.lax.scan(stage, (y, steps), blurs)
-    y, last, settled = jax.vmap(lambda like, y: one(like, y, None))(like, y)
+        (y, steps), before = jax.lax.scan(stage, (y, steps), blurs)
+    y, last, settled, curve = jax.vmap(lambda like, y: one(like, y, None))(like, y)
     loss = jax.vmap(lambda like, y: jnp.linalg.norm(residuals(like, y)))(like, y)
-    return Solved(y, loss, steps + last, settled)
+    curves = jnp.concatenate([before, curve[None]]).swapaxes(0, 1)
+    return Solved(y, loss, steps + last, settled, curves)
 
 
-def _solution(at: Any, y: Array, solver: str, tolerance: float, max_steps: int) -> Any:
+class _Kept(eqx.Module):
+    inner: Any
+    curve: Float[Array, " N"]
+    count: Int[Array, ""]
+
+
+class _Recording(eqx.Module):
+    """Another solver, that keeps the loss after each step."""
+
+    inner: Any
+    size: int = eqx.field(static=True)
+
+    def init(self, fn, y, args, options, f_struct, aux_struct, tags):
+        """As the other's."""
+        state = self.inner.init(fn, y, args, options, f_struct, aux_struct, tags)
+        return _Kept(state, jnp.full(self.size, jnp.nan, y.dtype), jnp.zeros((), int))
+
+    def step(self, fn, y, args, options, state, tags):
+        """As the other's; its `f_info` is at the accepted point."""
+        y, inner, aux = self.inner.step(fn, y, args, options, state.inner, tags)
+        loss = jnp.sqrt(jnp.maximum(2.0 * inner.f_info.as_min(), 0.0)).astype(y.dtype)
+        curve = state.curve.at[state.count].set(loss, mode="drop")
+        return y, _Kept(inner, curve, state.count + 1), aux
+
+    def terminate(self, fn, y, args, options, state, tags):
+        """As the other's."""
+        return self.inner.terminate(fn, y, args, options, state.inner, tags)
+
+    def postprocess(self, fn, y, aux, args, options, state, tags, result):
+        """As the other's, with the losses."""
+        y, aux, stats = self.inner.postprocess(fn, y, aux, args, options, state.inner, tags, result)
+        return y, aux, {**stats, "curve": state.curve}
+
+    rtol = property(lambda self: self.inner.rtol)
+    atol = property(lambda self: self.inner.atol)
+    norm = property(lambda self: self.inner.norm)
+
+
+class _RecordingSquares(_Recording, optx.AbstractLeastSquaresSolver):
+    pass
+
+
+class _RecordingMinimum(_Recording, optx.AbstractMinimiser):
+    pass
+
+
+# Pyright takes the properties above for fields.
+_squares: Any = _RecordingSquares
+_minimum: Any = _RecordingMinimum
+
+
+def _solution(at: Any, y: Array, solver: str, tolerance: float, max_steps: int, flat: float) -> Any:
     options = {"max_steps": max_steps, "throw": False}
     if solver == "normal-lm":
 
@@ -111,14 +173,15 @@ def _solution(at: Any, y: Array, solver: str, tolerance: float, max_steps: int) 
             found, push = jax.linearize(at, y)
             return found, jax.vmap(push)(jnp.eye(y.size, dtype=y.dtype))
 
-        method = NormalLevenbergMarquardt(tolerance, tolerance)
+        inner = NormalLevenbergMarquardt(tolerance, tolerance, flat=flat)
+        method = _squares(inner, max_steps)
         return optx.least_squares(with_rows, method, y, has_aux=True, **options)
     if solver == "bfgs":
-        return optx.minimise(
-            lambda y, _: 0.5 * (at(y) ** 2).sum(), optx.BFGS(tolerance, tolerance), y, **options
-        )
-    method = {"lm": optx.LevenbergMarquardt, "dogleg": optx.Dogleg}[solver]
-    return optx.least_squares(lambda y, _: at(y), method(tolerance, tolerance), y, **options)
+        method = _minimum(optx.BFGS(tolerance, tolerance), max_steps)
+        return optx.minimise(lambda y, _: 0.5 * (at(y) ** 2).sum(), method, y, **options)
+    kind = {"lm": optx.LevenbergMarquardt, "dogleg": optx.Dogleg}[solver]
+    method = _squares(kind(tolerance, tolerance), max_steps)
+    return optx.least_squares(lambda y, _: at(y), method, y, **options)
 
 
 @eqx.filter_jit

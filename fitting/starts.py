@@ -9,6 +9,7 @@ to where that is most. The other parameters are tried on points that fill their 
 """
 
 import math
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -38,12 +39,20 @@ def frequencies(job: forward.Job) -> tuple[np.ndarray, np.ndarray]:
     return both, np.repeat(np.linalg.norm(values, axis=1), len(columns))
 
 
-def peaks(job: forward.Job, width: float, count: int = _PEAKS) -> np.ndarray:
-    """Frequencies of the brightest values away from the mirror and from each other, [K, 2]."""
+def peaks(
+    job: forward.Job, width: float, count: int = _PEAKS, taken: np.ndarray | None = None
+) -> np.ndarray:
+    """Frequencies of the brightest values away from the mirror and from each other, [K, 2].
+
+    Where a grating vector is `taken`, also away from its lines.
+    """
     at, size = frequencies(job)
     # F and -F are the same lattice.
     at = np.where((at[:, :1] < 0) | ((at[:, :1] == 0) & (at[:, 1:] < 0)), -at, at)
     left = np.hypot(at[:, 0], at[:, 1]) > 2.5 * width
+    if taken is not None:
+        order = np.rint(at @ taken / (taken @ taken))
+        left &= np.hypot(*(at - order[:, None] * taken).T) > 2.0 * width
     found: list[np.ndarray] = []
     while left.any() and len(found) < count:
         best = int(np.argmax(np.where(left, size, -np.inf)))
@@ -64,13 +73,21 @@ def candidates(found: np.ndarray, shortest: float) -> np.ndarray:
 
 
 @eqx.filter_jit
-def explained(job: forward.Job, vectors: Float[Array, "C 2"]) -> Float[Array, " C"]:
+def explained(
+    job: forward.Job, vectors: Float[Array, "C 2"], taken: Float[Array, "2"] | None = None
+) -> Float[Array, " C"]:
     """Share of the squared data that lines at multiples of a vector explain, each on its own.
 
-    Every order in every band has a power of its own, 0 or more; lines are taken as apart.
+    Every order in every band has a power of its own, 0 or more; lines are taken as apart. What
+    lies near the mirror, or near lines of a vector that is `taken`, does not count.
     """
     data = job.values * job.scale
-    away = (job.fx**2 + job.fy**2 > (2.5 * job.sigma_f) ** 2).astype(data.dtype)
+    away = job.fx**2 + job.fy**2 > (2.5 * job.sigma_f) ** 2
+    if taken is not None:
+        order = jnp.round((job.fx * taken[0] + job.fy * taken[1]) / (taken**2).sum())
+        off = (job.fx - order * taken[0]) ** 2 + (job.fy - order * taken[1]) ** 2
+        away = away & (off > (2.0 * job.sigma_f) ** 2)
+    away = away.astype(data.dtype)
     orders = jnp.asarray([m for m in range(-_ORDERS, _ORDERS + 1) if m], data.dtype)
 
     def one(vector: Array) -> Array:
@@ -107,21 +124,40 @@ def lattices(job: forward.Job, coherence: float, most: int) -> np.ndarray:
             kept.append(int(k))
         if len(kept) == most:
             break
-    vectors = np.concatenate([vectors[kept], np.repeat(vectors[kept[-1:]], most - len(kept), 0)])
-    steps = np.stack(np.meshgrid(*2 * [np.linspace(-1.0, 1.0, 5)], indexing="ij"), -1).reshape(
-        -1, 2
-    )
+    return _moved(job, vectors[kept], width, most)
+
+
+def _moved(
+    job: forward.Job, vectors: np.ndarray, width: float, size: int, taken: Any = None
+) -> np.ndarray:
+    """Grating vectors where they explain most, best first; `size` of them are worked on."""
+    dtype = job.fx.dtype
+    vectors = np.concatenate([vectors, np.repeat(vectors[-1:], size - len(vectors), 0)])
+    axis = np.linspace(-1.0, 1.0, 5)
+    steps = np.stack(np.meshgrid(axis, axis, indexing="ij"), -1).reshape(-1, 2)
     for reach in (0.6 * width, 0.2 * width, 0.07 * width):
         around = vectors[:, None] + reach * steps[None]
-        score = explained(job, jnp.asarray(around.reshape(-1, 2), dtype))
-        score = np.asarray(score).reshape(most, -1)
-        vectors = around[np.arange(most), score.argmax(1)]
+        score = explained(job, jnp.asarray(around.reshape(-1, 2), dtype), taken)
+        score = np.asarray(score).reshape(size, -1)
+        vectors = around[np.arange(size), score.argmax(1)]
     best = score.max(1)
     keep: list[int] = []
     for k in np.argsort(-best):
         if all(np.hypot(*(vectors[k] - vectors[j])) > 0.1 * width for j in keep):
             keep.append(int(k))
     return vectors[keep]
+
+
+def second(job: forward.Job, coherence: float, first: np.ndarray, most: int) -> np.ndarray:
+    """Grating vectors of a second grating, given that of the first, [K, 2].
+
+    Its lines, and those that are sums and differences of both, lie apart from the first's.
+    """
+    width = 1.0 / (2.0 * math.pi * coherence)
+    found = peaks(job, width, most, first)
+    if not len(found):
+        return found
+    return _moved(job, found, width, most, jnp.asarray(first, job.fx.dtype))
 
 
 def halton(count: int, dimensions: int) -> np.ndarray:

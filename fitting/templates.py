@@ -6,7 +6,7 @@ from typing import Any
 from diffopt import gratings
 from diffopt.errors import InputError
 from diffopt.gratings import Surface
-from diffopt.gratings.base import kinds
+from diffopt.gratings.parametric import kinds
 
 #: Surfaces by the names that a user passes; the numbers are no starts, a search sets them.
 NAMED: dict[str, Callable[[], Surface]] = {
@@ -64,6 +64,15 @@ def lattice(surface: Surface) -> list[tuple[str, str]]:
         if last in ("period", "pitch"):
             found.append((name, f"{head}.angle" if head else "angle"))
     return found
+
+
+def nested(surface: Surface) -> str:
+    """Name of the surface within that has the only period, for one that spreads its lines; or ''.
+
+    The lattice and much of the rest can then be had from a fit of that alone.
+    """
+    heads = {period.rpartition(".")[0] for period, _ in lattice(surface)}
+    return heads.pop().partition(".")[0] if len(heads) == 1 else ""
 
 
 def _structure(surface: Surface) -> Any:

@@ -1,0 +1,74 @@
+"""How a parametric surface is fitted to reflectance."""
+
+import dataclasses
+
+from diffopt import checks
+from diffopt.errors import InputError
+from diffopt.fitting import solving
+
+
+@dataclasses.dataclass(frozen=True)
+class FitSettings:
+    """How a surface is fitted to reflectance.
+
+    Attributes
+    ----------
+    lattices
+        Grating vectors taken from the data. More cost time in proportion and find gratings
+        whose first orders are dark.
+    design
+        Points of the other parameters for each lattice; doubled for each parameter beyond the
+        first.
+    starts
+        Solves from the best of them. One is enough for a sinusoid; saws and steps have many
+        minima.
+    finalists
+        Of these, finished on all data.
+    rows
+        Pairs of directions of the comparison and of the first solves; fewer cost less and are
+        noisier.
+    stages
+        Coarse stages from given starts: none make a fit faster and its basin narrower.
+    coarsest
+        Coherence window of the first of them, in periods of the starts.
+    solver
+        ``normal-lm`` (Levenberg-Marquardt on normal equations), or optimistix's own ``lm``,
+        ``dogleg`` and ``bfgs``.
+    tolerance
+        Of the last solve, on y and on the squared loss; the root of the rounding unit if None.
+    max_steps
+        Of each solve.
+
+    Raises
+    ------
+    InputError
+        If the solver is unknown or a number is too small.
+    """
+
+    lattices: int = 8
+    design: int = 24
+    starts: int = 12
+    finalists: int = 3
+    rows: int = 400
+    stages: int = 4
+    coarsest: float = 0.2
+    solver: solving.Solver = "normal-lm"
+    tolerance: float | None = None
+    max_steps: int = 64
+
+    def __post_init__(self) -> None:
+        checks.choice("solver", self.solver, solving.SOLVERS)
+        for name, least in (
+            ("lattices", 1),
+            ("design", 1),
+            ("starts", 1),
+            ("finalists", 1),
+            ("rows", 8),
+            ("stages", 0),
+            ("max_steps", 1),
+        ):
+            if getattr(self, name) < least:
+                raise InputError(f"{name} must be {least} or more; received {getattr(self, name)}")
+        for name, value in (("coarsest", self.coarsest), ("tolerance", self.tolerance)):
+            if value is not None and not value > 0:
+                raise InputError(f"{name} must be above 0; received {value}")
