@@ -115,7 +115,7 @@ def test_the_example_file_is_fitted(tmp_path, capsys, few):
         [content["parameters"][name]["error"] for name in truth],
         rtol=1e-12,
     )
-    # The noise of the file is known: 2,075 values give 1 to sqrt(2 / 2075) = 0.03.
+    # The noise of the file is known: 2,005 values give 1 to sqrt(2 / 2005) = 0.03.
     assert 0.88 < content["chi2"] < 1.12
     assert content["parameters"]["shift"]["error"] is None
     assert "not determined" in content["parameters"]["shift"]["identifiable"]
