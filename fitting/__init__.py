@@ -4,7 +4,7 @@ Inverse problems solved with optimistix.
 
 ==================  ==========================================================
 `measured`          measured reflectance, checked where it comes in
-`measured_files`    the same from and to files
+`measured_files`    the same from and to files; `measured_text`: CSV
 `heightfield`       from a scan or reflectance to the surface, by one call
 `reflectance`       a surface's parameters from reflectance, from the data alone: `fit_settings`,
                     `starts` by the grating equation and their `start_design`, `forward` values,

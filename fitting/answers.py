@@ -191,6 +191,7 @@ def judged(
     bounded: Mapping[str, str],
     settled: bool,
     interrupted: str | None,
+    left_out: str | None,
     minima: tuple[Minimum, ...],
     steps: int,
     curves: dict[str, np.ndarray],
@@ -208,8 +209,9 @@ def judged(
         Parameters that were not fitted, with the sentence why.
     bounded
         Parameters that ran against a bound.
-    settled, interrupted
-        Whether the solver ended by its tolerance; what it was doing when it was interrupted.
+    settled, interrupted, left_out
+        Whether the solver ended by its tolerance; what it was doing when it was interrupted; why it
+        was not finished.
     minima, steps, curves
         See `ReflectanceFit`.
     """
@@ -225,9 +227,12 @@ def judged(
     misfit = (loss * scale) ** 2 if noise_known else found.size * math.log(max(loss, 1e-300) ** 2)
     criterion = misfit + count * math.log(found.size)
     identifiable = _identifiable(surface, names, matrix, held, bounded)
-    converged, reason = _verdict(
-        loss, chi2, settled, interrupted, identifiable, names, bounded, steps
-    )
+    if left_out is not None:
+        converged, reason = False, left_out
+    else:
+        converged, reason = _verdict(
+            loss, chi2, settled, interrupted, identifiable, names, bounded, steps
+        )
     return ReflectanceFit(
         surface,
         names,

@@ -8,7 +8,7 @@ from typing import Any
 from diffopt.errors import InputError
 from diffopt.fitting.answers import RankedModel, ReflectanceFit
 from diffopt.fitting.measured import Measured
-from diffopt.fitting.reflectance import Progress, fit_reflectance
+from diffopt.fitting.reflectance import Progress, fit_reflectance, rows_misfit
 
 #: What ``"auto"`` compares, simple ones first.
 AUTO = (
@@ -25,6 +25,9 @@ AUTO = (
 # A difference of the criterion that counts as strong evidence (Kass and Raftery 1995). A needless
 # parameter costs log n, some 8.
 _STRONG = 6.0
+# A model whose misfit on some rows is larger than that of another by this factor is not finished:
+# its likelihood is exp(-0.6) a value or less of the other's, of hundreds.
+_BEHIND = 1.5
 
 
 def rank_reflectance(
@@ -38,7 +41,8 @@ def rank_reflectance(
 
     They are ranked by the Bayesian information criterion, -2 log L + P log n for n values and P
     free parameters: chi^2 for -2 log L where the noise is known, else n log of the mean squared
-    residual (Schwarz 1978).
+    residual (Schwarz 1978). A model that is far behind another on some rows of the data is not
+    finished on all of them, and its row says so.
 
     Parameters
     ----------
@@ -75,7 +79,8 @@ def rank_reflectance(
                 progress(f"{name}: {what}", (k + share) / len(models), best)
 
         try:
-            fit = fit_reflectance(measured, model, progress=report, **options)
+            bar = _BEHIND * min((rows_misfit(fit) for _, fit in found), default=math.inf)
+            fit = fit_reflectance(measured, model, progress=report, give_up=bar, **options)
         except InputError as error:
             refused.append((name, error))
             continue

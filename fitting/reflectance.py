@@ -34,8 +34,11 @@ Progress = Callable[[str, float, float], None]
 
 # Coarse stages compare every value with every other.
 _MOST_VALUES = 4096
-# Of the solves on some rows: tolerance, and terms of random displacements.
-_COARSE, _FEW_TERMS = 1e-3, 12
+# Of the solves on some rows: tolerance, terms of random displacements, and the share of a line's
+# peak beyond which orders are left out.
+_COARSE, _FEW_TERMS, _FAINT = 1e-3, 12, 1e-3
+#: Stage of a fit from the data alone, by which models are compared before they are finished.
+SOME_ROWS = "least squares on some rows"
 # Fall of chi-squared, where noise alone makes it 1 a value, that is not worth a step.
 _CRAWL = 1e-3
 
@@ -49,6 +52,7 @@ def fit_reflectance(
     fresnel: Reflectance | None = None,
     shadowing: Shadowing = "none",
     settings: FitSettings | None = None,
+    give_up: float | None = None,
     progress: Progress | None = None,
 ) -> ReflectanceFit:
     """Fit a parametric surface to reflectance, from the data alone or from starts.
@@ -70,6 +74,9 @@ def fit_reflectance(
         Of the surface, as for `diffopt.DiffractionBRDF`.
     settings
         See `FitSettings`.
+    give_up
+        Misfit on some rows (`rows_misfit`) beyond which a fit from the data alone is not finished
+        on all of them: for comparisons.
     progress
         Called as progress(what, share done, best loss) before each stage. A KeyboardInterrupt
         after the first solve returns the best so far, not converged.
@@ -102,17 +109,17 @@ def fit_reflectance(
         given=bounds,
     )
     run = _Run(measured, job, like, box, settings, frequency, kappa, progress)
-    interrupted = None
+    interrupted = left_out = None
     try:
         if known:
             run.from_starts(given)
-        else:
-            run.from_data()
+        elif not run.from_data(give_up):
+            left_out = run.left_out(give_up)
     except KeyboardInterrupt:
         interrupted = run.doing
         if run.last is None:
             raise
-    return run.answer(held, interrupted)
+    return run.answer(held, interrupted, left_out)
 
 
 @dataclasses.dataclass
@@ -156,13 +163,14 @@ class _Run:
                 doing, share, math.inf if self.last is None else float(min(self.last.loss))
             )
 
-    def reach(self, longest: float) -> Reach:
+    def reach(self, longest: float, faint: float = 1e-7) -> Reach:
         """Static sizes, rounded so that similar data share their programs."""
         found = reach_for(
             longest=longest,
             frequency=self.frequency,
             coherence=float(self.measured.coherence),
             phase=self.kappa * self._highest(),
+            faint=faint,
         )
         return Reach(
             next((n for n in (1, 2, 3, 4, 6) if n >= found.each_side), found.each_side),
@@ -222,7 +230,8 @@ class _Run:
         self.tell("least squares", 0.5)
         self.solve(self.job, like, y, reach)
 
-    def from_data(self) -> None:
+    def from_data(self, give_up: float | None = None) -> bool:
+        """Whether it was finished on all data."""
         settings = self.settings
         self.tell("lattices", 0.0)
         job = forward.rows(self.job, starts.brightest(self.job, settings.rows))
@@ -236,13 +245,13 @@ class _Run:
             # Of any period, so that all data from the same directions share a program.
             longest = self.longest(np.asarray(self.box.high)[None])
             count, groups = settings.starts, settings.lattices if lattice(self.like) else 0
-        coarse = dataclasses.replace(self.reach(longest), terms=_FEW_TERMS)
+        coarse = dataclasses.replace(self.reach(longest, _FAINT), terms=_FEW_TERMS)
         self.tell("comparison of starts", 0.2)
         y = self.box.unbounded(values)
         wide = jnp.asarray(y, jnp.result_type(float))
         loss = solving.losses(job, _copies(self.like, len(y)), self.box, wide, reach=coarse)
         chosen = start_design.diverse(np.asarray(loss), count, groups)
-        self.tell("least squares on some rows", 0.4)
+        self.tell(SOME_ROWS, 0.4)
         ended = self.solve(
             job,
             _copies(self.like, len(chosen)),
@@ -252,6 +261,8 @@ class _Run:
             flat=_COARSE,
             max_steps=min(settings.max_steps, 24),
         )
+        if give_up is not None and min(ended.loss) > give_up:
+            return False
         minima = self.minima
         order = start_design.finalists(ended.y, ended.loss, settings.finalists)
         self.tell("least squares on all data", 0.8)
@@ -260,6 +271,14 @@ class _Run:
         reach = self.reach(1.1 * self.longest(ends))
         self.solve(self.job, _copies(self.like, len(order)), y, reach)
         self.minima = minima
+        return True
+
+    def left_out(self, give_up: float | None) -> str:
+        assert self.last is not None
+        return (
+            f"The fit was not finished: the misfit on some rows is {min(self.last.loss):.3g}, that "
+            f"of a better model below {give_up:.3g}."
+        )
 
     def within(self, head: str) -> tuple[np.ndarray, float]:
         """Starts about a fit of the surface within, and their longest period."""
@@ -278,12 +297,14 @@ class _Run:
         """Longest period among parameters [S, P]; 1 for a surface without one."""
         names = self.box.names
         found = [
-            values[:, names.index(path)].max() if path in names else float(self.like.get(path))
+            float(values[:, names.index(path)].max() if path in names else self.like.get(path))
             for path, _ in lattice(self.like)
         ]
         return max(found, default=1.0)
 
-    def answer(self, held: Mapping[str, str], interrupted: str | None) -> ReflectanceFit:
+    def answer(
+        self, held: Mapping[str, str], interrupted: str | None, left_out: str | None
+    ) -> ReflectanceFit:
         assert self.last is not None
         y, solved = self.last.y, self.last.solved
         best = int(np.argmin(self.last.loss))
@@ -300,10 +321,16 @@ class _Run:
             bounded=self.box.at_bound(y[best]),
             settled=bool(np.asarray(solved.settled)[best]),
             interrupted=interrupted,
+            left_out=left_out,
             minima=self.minima,
             steps=int(np.asarray(solved.steps)[best]),
             curves=self.curves,
         )
+
+
+def rows_misfit(fit: ReflectanceFit) -> float:
+    """Least misfit on some rows of a fit from the data alone; infinite for one from starts."""
+    return float(np.nanmin(fit.curves.get(SOME_ROWS, np.array([[math.inf]]))))
 
 
 def conventional(surface: Surface) -> Surface:
