@@ -6,14 +6,19 @@ Inverse problems solved with optimistix.
 `measured`          measured reflectance, checked where it comes in
 `measured_files`    the same from and to files; `measured_text`: CSV
 `heightfield`       from a scan or reflectance to the surface, by one call
-`reflectance`       a surface's parameters from reflectance, from the data alone: `fit_settings`,
+`reflectance`       a surface's parameters from reflectance, from the data alone: `reflectance_run`
+                    stages, `fit_settings`,
                     `starts` by the grating equation and their `start_design`, `forward` values,
                     `maps` of bounds, `solving`, `answers`, `templates` of surfaces by name
 `ranking`           several kinds of surfaces for the same reflectance, ranked
 `scan`              a surface's parameters from its heights, models ranked: `scan_register`,
-                    `scan_candidates`, `scan_random`, `scan_disc`, `scan_squares`, `scan_noise`,
+                    `scan_candidates`, `scan_random`, `scan_disc`, `scan_squares` by
+                    `scan_descent`, `scan_noise`,
                     `scan_errors`, `scan_codes`, `scan_setting`, `scan_convention`
-`freeform`          every height from reflectance, under `freeform_priors`
+`freeform`          every height from reflectance, under `freeform_priors`: `freeform_problem`,
+                    `freeform_steps`, `freeform_stages`, `freeform_equal`, `freeform_errors`,
+                    `freeform_result`
+`schedule_studies`  what accuracy costs for fits to reflectance
 `lobes`             functions on the sphere to von Mises-Fisher lobes, by `lobe_settings`
 `lobe_targets`      what they are fitted to; `lobe_samples`: samples
 `brdf`              whole BRDFs, with lobes that belong together

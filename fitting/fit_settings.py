@@ -24,6 +24,9 @@ class FitSettings:
         minima.
     finalists
         Of these, finished on all data.
+    retries
+        Times that a fit from the data alone is done again, with three times the starts, where
+        chi-squared says that it is none. Needs noise that is known.
     rows
         Pairs of directions of the comparison and of the first solves; fewer cost less and are
         noisier.
@@ -49,12 +52,18 @@ class FitSettings:
     design: int = 24
     starts: int = 12
     finalists: int = 3
+    retries: int = 1
     rows: int = 400
     stages: int = 4
     coarsest: float = 0.2
     solver: solving.Solver = "normal-lm"
     tolerance: float | None = None
     max_steps: int = 64
+
+    def harder(self) -> "FitSettings":
+        """With three times the points of the design and of the starts, and no retry."""
+        more = {"design": 3 * self.design, "starts": 3 * self.starts}
+        return dataclasses.replace(self, retries=0, **more)
 
     def __post_init__(self) -> None:
         checks.choice("solver", self.solver, solving.SOLVERS)
@@ -63,6 +72,7 @@ class FitSettings:
             ("design", 1),
             ("starts", 1),
             ("finalists", 1),
+            ("retries", 0),
             ("rows", 8),
             ("stages", 0),
             ("max_steps", 1),

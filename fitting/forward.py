@@ -1,10 +1,11 @@
 """What a parametric surface would have measured: values, residuals, the free gain."""
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from diffopt.diffraction import Shadowing, model_factors
@@ -127,13 +128,32 @@ def residuals(job: Job, surface: Surface, reach: Reach) -> Float[Array, " N"]:
     return ((best_gain(job, values) * values - job.values) * job.scale).reshape(-1)
 
 
-def rows(job: Job, chosen: np.ndarray) -> Job:
+_PER_VALUE = ("fx", "fy", "kappa", "before", "sigma_f", "spread", "values", "scale")
+
+
+def rows(job: Job, chosen: Any) -> Job:
     """The job of some of the pairs of directions, by their numbers."""
-    leaves = ("fx", "fy", "kappa", "before", "sigma_f", "spread", "values", "scale")
-    picked = {name: getattr(job, name)[chosen] for name in leaves}
+    return _picked(job, lambda leaf: leaf[chosen])
+
+
+def columns(job: Job, chosen: Any) -> Job:
+    """The job of some of the wavelengths, by their numbers; of spectra, not colours."""
+    return _picked(job, lambda leaf: leaf[:, chosen])
+
+
+def evenly(job: Job) -> Job:
+    """The job with the same weight for all values, whatever their noise."""
+    scale = jnp.ones_like(job.scale) / jnp.linalg.norm(job.values)
+    return eqx.tree_at(lambda job: job.scale, job, scale)
+
+
+def _picked(job: Job, pick: Callable[[Array], Array]) -> Job:
+    picked = {name: pick(getattr(job, name)) for name in _PER_VALUE}
     norm = jnp.linalg.norm(picked["values"] * picked["scale"])
     picked["scale"] = picked["scale"] / jnp.where(norm > 0, norm, 1.0)
-    return eqx.tree_at(lambda j: [getattr(j, name) for name in leaves], job, list(picked.values()))
+    return eqx.tree_at(
+        lambda j: [getattr(j, name) for name in _PER_VALUE], job, list(picked.values())
+    )
 
 
 def largest(job: Job) -> tuple[float, float]:

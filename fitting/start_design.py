@@ -17,7 +17,7 @@ from diffopt.gratings.parametric import kinds
 
 # Ends this far apart in unbounded parameters are different minima.
 _APART = 0.02
-_MOST_POINTS = 512
+_MOST_POINTS = 1024
 # Vectors that are tried as the first of two.
 _FIRSTS = 4
 

@@ -297,26 +297,7 @@ def _measured(asked: Asked) -> "tuple[Measured, tuple[str, ...]]":
 
 def _scan(source: Source) -> "Heightfield":
     """The heights as they are: what is missing has no weight, tilt and drift are fitted."""
-    from diffopt import checks
     from diffopt.cli import options
-    from diffopt.heightfield import Heightfield
 
-    level = "none" if source.level is None else source.level
-    checks.choice("--level", level, options.LEVELS)
-    if source.file.startswith(options.SAMPLE):
-        scan = options._sample(source)
-    else:
-        options.refuse_enormous(Path(source.file))
-        um = ", in micrometres"
-        try:
-            scan = Heightfield.load(
-                source.file,
-                pixel_size=options.numbers("--pixel-size", source.pixel_size, unit=um),
-                height_range=options.numbers("--height-range", source.height_range, unit=um),
-                height_unit=source.height_unit,
-                channel=options._channel(source.channel),
-                missing="keep",
-            )
-        except InputError as error:
-            raise InputError(options._as_typed(str(error))) from error
-    return scan if level == "none" else scan.levelled(by=level)
+    scan, level = options.read(source), source.level
+    return scan if level in (None, "none") else scan.levelled(by=level)

@@ -185,36 +185,44 @@ def angles(option: str, text: str, most: int, steepest: float) -> tuple[float, .
     return tuple(dict.fromkeys(values))
 
 
-def load(source: Source) -> Heightfield:
-    """Read or make the heights, level them and see that they are complete.
+def read(source: Source) -> Heightfield:
+    """Read or make the heights, as they are: neither levelled nor complete.
 
     Raises
     ------
     InputError
         For anything that cannot be used; the text names options as they are typed.
     """
-    level = source.level
-    if level is not None:
-        checks.choice("--level", level, LEVELS)
+    if source.level is not None:
+        checks.choice("--level", source.level, LEVELS)
     if source.file.startswith(SAMPLE):
-        scan = _sample(source)
-        level = "none" if level is None else level
-    else:
-        refuse_enormous(Path(source.file))
-        try:
-            scan = Heightfield.load(
-                source.file,
-                pixel_size=numbers("--pixel-size", source.pixel_size, unit=", in micrometres"),
-                height_range=numbers(
-                    "--height-range", source.height_range, unit=", in micrometres"
-                ),
-                height_unit=source.height_unit,
-                channel=_channel(source.channel),
-                missing="keep",
-            )
-        except InputError as error:
-            raise InputError(_as_typed(str(error))) from error
-        level = "plane" if level is None else level
+        return _sample(source)
+    refuse_enormous(Path(source.file))
+    um = ", in micrometres"
+    try:
+        return Heightfield.load(
+            source.file,
+            pixel_size=numbers("--pixel-size", source.pixel_size, unit=um),
+            height_range=numbers("--height-range", source.height_range, unit=um),
+            height_unit=source.height_unit,
+            channel=_channel(source.channel),
+            missing="keep",
+        )
+    except InputError as error:
+        raise InputError(_as_typed(str(error))) from error
+
+
+def load(source: Source) -> Heightfield:
+    """Read or make the heights, level them and see that they are complete.
+
+    Raises
+    ------
+    InputError
+        As `read`, and if pixels are missing and are not to be filled.
+    """
+    scan, level = read(source), source.level
+    if level is None:
+        level = "none" if source.file.startswith(SAMPLE) else "plane"
     missing = scan.missing
     if missing and not source.fill:
         raise InputError(
