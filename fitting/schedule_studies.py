@@ -28,8 +28,9 @@ SIGMA, LAM = 2.0, np.linspace(0.42, 0.68, 7)
 # Of the gratings' lines: periods up to 5 um, phases up to 2 pi 2 0.5 / 0.42.
 _EXACT, _FEW = Reach(3, 32, 32.0), Reach(1, 32, 32.0)
 _NAMES = ("period", "depth", "duty", "angle")
-_ERROR = "root mean square over the gratings of the largest relative error among period, depth "
-_ERROR += "and duty, 1 where it exceeds 5 % (not recovered)"
+_GRATINGS = 12
+_ERROR = "90th percentile over the gratings of the largest relative error among period, depth "
+_ERROR += "and duty"
 
 
 class Problem(NamedTuple):
@@ -177,7 +178,7 @@ def _judge(found: Any, truths: np.ndarray) -> tuple[float, str]:
     )
     error = np.abs(found / true - 1.0).max(1)
     good = error < 0.05
-    return float(np.sqrt(np.mean(np.where(good, error, 1.0) ** 2))), (
+    return float(np.percentile(error, 90.0)), (
         f"{good.sum()} of {len(good)} recovered, median error {np.median(error):.2g}"
     )
 
@@ -213,14 +214,15 @@ def _cases(quick: bool) -> list[Case]:
         Schedule(200, None),
         Schedule(400, 2),
         Schedule(400, 1),
-        Schedule(None, None, starts=4),
     ]
-    return [_case(schedule, 3 if quick else 24) for schedule in (every[:3] if quick else every)]
+    return [
+        _case(schedule, 3 if quick else _GRATINGS) for schedule in (every[:3] if quick else every)
+    ]
 
 
 SCHEDULE = Study(
     "heightfield.schedule",
-    f"{_ERROR}; 24 binary gratings, 2 % noise, 697 pairs of directions, 7 wavelengths",
+    f"{_ERROR}; {_GRATINGS} binary gratings, 2 % noise, 697 pairs of directions, 7 wavelengths",
     "the gratings that were simulated",
     _cases,
 )

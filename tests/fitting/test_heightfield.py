@@ -211,3 +211,25 @@ def test_starts_may_be_batched_by_vmap(rng):
     np.testing.assert_allclose(
         together.y[:, 0], np.stack([one.y[0] for one in alone]), rtol=1e-5, atol=1e-6
     )
+
+
+def test_a_disc_from_the_reflectance_of_its_heights(rng):
+    """Simulated by the sampled transform of one disc, which shares nothing with the fit's model."""
+    scan = do.samples.compact_disc(
+        jax.random.key(0), shape=(256, 256), pixel=(0.06, 1.6 * 10 / 256), depth=0.12
+    )
+    brdf = do.DiffractionBRDF(scan, SIGMA, average="positions")
+    wi = np.broadcast_to(WI, WO.shape)
+    ready = brdf.prepare(
+        pairs=(wi, WO), wavelengths=WAVELENGTHS, method="separable", tolerance=1e-5
+    )
+    values = np.asarray(ready(wi, WO))
+    noise = 0.02 * values + 1e-3 * values.max()
+    values = values + noise * rng.normal(size=values.shape)
+    data = fitting.Measured(WI, WO, WAVELENGTHS, values, SIGMA, noise=noise)
+    fit = fitting.fit_heightfield(data, "compactdisc")
+    assert fit.converged, fit.reason
+    # One patch of pits is not their mean: over six patches pitches were 1.598 to 1.603 um and
+    # depths 0.111 to 0.120 um.
+    assert float(fit.model.pitch) == pytest.approx(do.discs.TRACK_PITCH, rel=0.01)
+    assert float(fit.model.depth) == pytest.approx(0.12, rel=0.1)
