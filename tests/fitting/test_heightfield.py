@@ -5,37 +5,21 @@ import math
 import jax
 import numpy as np
 import pytest
+import reflectance_cases
+from reflectance_cases import REACH, SIGMA, WI, disc
 
 import diffopt as do
 from diffopt import fitting
 from diffopt.errors import InputError
 from diffopt.fitting import forward, solving
-from diffopt.gratings import Binary, Blazed, Crossed, Reach, Sinusoidal
+from diffopt.gratings import Binary, Blazed, Crossed, Sinusoidal
 
 WAVELENGTHS = np.linspace(0.42, 0.68, 4)
-SIGMA = 1.5
-WI = np.array([math.sin(0.17), 0.0, math.cos(0.17)])
-REACH = Reach(4, 64, 64.0, 16)
+WO = disc(19)
 
 
-def disc(count=19, radius=0.85):
-    x, y = np.meshgrid(*2 * [np.linspace(-radius, radius, count)])
-    inside = np.hypot(x, y) <= radius
-    x, y = x[inside], y[inside]
-    return np.stack([x, y, np.sqrt(1 - x**2 - y**2)], -1)
-
-
-WO = disc()
-
-
-def simulated(surface, rng, share=0.02, **options):
-    empty = fitting.Measured(WI, WO, WAVELENGTHS, np.ones((len(WO), 4)), SIGMA)
-    values = np.asarray(forward.predicted(forward.job(empty), surface, REACH))
-    noise = share * np.abs(values) + 1e-3 * values.max()
-    values = values + noise * rng.normal(size=values.shape)
-    return fitting.Measured(
-        WI, WO, WAVELENGTHS, values, SIGMA, noise=noise, noise_known=True, **options
-    )
+def simulated(surface, rng, wo=WO, **options):
+    return reflectance_cases.simulated(surface, rng, wo, WAVELENGTHS, **options)
 
 
 TRUE = Binary(1.9, 0.21, 0.3, 0.0, -0.9)

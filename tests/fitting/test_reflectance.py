@@ -1,11 +1,11 @@
 """Fits of parametric surfaces to reflectance: recovery from the data alone, honest answers."""
 
-import math
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import reflectance_cases
+from reflectance_cases import disc
 
 from diffopt import fitting, gratings
 from diffopt.errors import InputError
@@ -13,33 +13,11 @@ from diffopt.fitting import forward
 from diffopt.gratings import Binary, Blazed, Reach, Sinusoidal
 
 WAVELENGTHS = np.linspace(0.42, 0.68, 5)
-SIGMA = 1.5
-WI = np.array([math.sin(0.17), 0.0, math.cos(0.17)])
-REACH = Reach(4, 48, 64.0, 16)
+WO = disc(23)
 
 
-def disc(count=23, radius=0.85):
-    x, y = np.meshgrid(*2 * [np.linspace(-radius, radius, count)])
-    inside = np.hypot(x, y) <= radius
-    x, y = x[inside], y[inside]
-    return np.stack([x, y, np.sqrt(1 - x**2 - y**2)], -1)
-
-
-WO = disc()
-
-
-def simulated(surface, rng, share=0.02, quantity="spectral", wo=WO, **options):
-    """Data with noise of a share of each value and a thousandth of the largest."""
-    colours = quantity in ("xyz", "rgb")
-    shape = (len(wo), 3 if colours else len(WAVELENGTHS))
-    lam = None if colours else WAVELENGTHS
-    empty = fitting.Measured(WI, wo, lam, np.ones(shape), SIGMA, quantity=quantity)
-    values = np.asarray(forward.predicted(forward.job(empty), surface, REACH))
-    noise = share * np.abs(values) + 1e-3 * values.max()
-    values = values + noise * rng.normal(size=shape)
-    return fitting.Measured(
-        WI, wo, lam, values, SIGMA, quantity=quantity, noise=noise, noise_known=True, **options
-    )
+def simulated(surface, rng, wo=WO, **options):
+    return reflectance_cases.simulated(surface, rng, wo, WAVELENGTHS, **options)
 
 
 TRUTHS = (
