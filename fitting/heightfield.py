@@ -5,12 +5,12 @@ from collections.abc import Callable, Sequence
 from typing import Any, overload
 
 from diffopt.errors import InputError
-from diffopt.fitting.answers import ReflectanceFit
-from diffopt.fitting.freeform import HeightsFit, fit_heights
+from diffopt.fitting.freeform.fit import HeightsFit, fit_heights
 from diffopt.fitting.measured import Measured
-from diffopt.fitting.ranking import AUTO, rank_reflectance
-from diffopt.fitting.reflectance import fit_reflectance
-from diffopt.fitting.scan import ScanFit, fit_scan
+from diffopt.fitting.reflectance.answers import ReflectanceFit
+from diffopt.fitting.reflectance.fit import fit_reflectance
+from diffopt.fitting.reflectance.ranking import AUTO, rank_reflectance
+from diffopt.fitting.scans.fit import ScanFit, fit_scan
 from diffopt.gratings import Surface
 from diffopt.heightfield import Heightfield
 

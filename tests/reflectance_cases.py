@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from diffopt import fitting
-from diffopt.fitting import forward
+from diffopt.fitting.reflectance import forward
 from diffopt.gratings import Reach
 
 SIGMA = 1.5

@@ -34,7 +34,7 @@ NAMES: dict[str, str] = {
     "diffraction.table": "diffopt.accuracy.table_studies:TABLE",
     "diffraction.wavelengths": "diffopt.accuracy.spectral_studies:SPECTRUM",
     "diffraction.window": "diffopt.accuracy.diffraction:WINDOW",
-    "heightfield.schedule": "diffopt.fitting.schedule_studies:SCHEDULE",
+    "heightfield.schedule": "diffopt.fitting.reflectance.schedule_studies:SCHEDULE",
     "lobes.concentration": "diffopt.accuracy.lobe_studies:CONCENTRATION",
     "lobes.count": "diffopt.fitting.lobe_studies:COUNT",
     "lobes.distance": "diffopt.accuracy.lobe_studies:DISTANCE",

@@ -178,7 +178,7 @@ def write(
 
 def _losses(subject: "Subject", fit: Any, title: str) -> Any:
     from diffopt.drawing import surface_fits
-    from diffopt.fitting.templates import NAMED
+    from diffopt.fitting.reflectance.templates import NAMED
 
     if subject.kind == "heights":
         curves = {"fit": np.asarray(fit.history)}
@@ -219,7 +219,7 @@ def _scan_pictures(
     import jax
 
     from diffopt.drawing import surface_fits
-    from diffopt.fitting.templates import lattice
+    from diffopt.fitting.reflectance.templates import lattice
 
     scan = subject.data
     given = np.asarray(scan.heights, np.float64)
@@ -311,7 +311,7 @@ def _reflectance_pictures(
 def predicted(data: Any, fit: Any) -> np.ndarray:
     """Values of fitted heights, as those of the data, [M, C]."""
     from diffopt import DiffractionBRDF
-    from diffopt.fitting import freeform_problem
+    from diffopt.fitting.freeform import problem as freeform_problem
 
     surface = fit.heightfield
     data = data.astype(surface.heights.dtype)

@@ -7,11 +7,14 @@ import pytest
 
 import diffopt as do
 from diffopt.errors import InputError
-from diffopt.fitting import Measured, freeform_errors, freeform_priors, freeform_problem
-from diffopt.fitting.freeform import fit_heights
-from diffopt.fitting.freeform_equal import nearest_equal
-from diffopt.fitting.freeform_priors import filtered, prior_root
-from diffopt.fitting.freeform_problem import forward_settings, problem, weighted
+from diffopt.fitting import Measured
+from diffopt.fitting.freeform import errors as freeform_errors
+from diffopt.fitting.freeform import priors as freeform_priors
+from diffopt.fitting.freeform import problem as freeform_problem
+from diffopt.fitting.freeform.equal import nearest_equal
+from diffopt.fitting.freeform.fit import fit_heights
+from diffopt.fitting.freeform.priors import filtered, prior_root
+from diffopt.fitting.freeform.problem import forward_settings, problem, weighted
 from diffopt.settings import DirectSettings, SeparableSettings
 
 PIXEL, LENGTH, RMS = 0.1, 0.5, 0.05

@@ -11,7 +11,7 @@ from reflectance_cases import REACH, SIGMA, WI, disc
 import diffopt as do
 from diffopt import fitting
 from diffopt.errors import InputError
-from diffopt.fitting import forward, solving
+from diffopt.fitting.reflectance import forward, solving
 from diffopt.gratings import Binary, Blazed, Crossed, Sinusoidal
 
 WAVELENGTHS = np.linspace(0.42, 0.68, 4)
@@ -151,7 +151,7 @@ def test_float32_data(rng):
 
 
 def test_what_spreads_lines_starts_from_the_lines(rng):
-    true = fitting.templates.NAMED["ridges"]().replaced(
+    true = fitting.reflectance.templates.NAMED["ridges"]().replaced(
         {
             "displacement": 0.15,
             "correlation_length": 1.2,
@@ -179,7 +179,7 @@ def test_starts_may_be_batched_by_vmap(rng):
     fits = [simulated(TRUE, rng) for _ in range(3)]
     jobs = jax.tree.map(lambda *leaves: np.stack(leaves), *[forward.job(one) for one in fits])
     names = ("period", "depth", "duty", "angle")
-    box = fitting.maps.default_bounds(
+    box = fitting.reflectance.maps.default_bounds(
         TRUE, names, frequency=3.0, coherence=SIGMA, wavelengths=(0.42, 0.68)
     )
     y = box.unbounded(np.array([[1.88, 0.2, 0.28, -0.89]]))

@@ -9,7 +9,7 @@ from reflectance_cases import disc
 
 from diffopt import fitting, gratings
 from diffopt.errors import InputError
-from diffopt.fitting import forward
+from diffopt.fitting.reflectance import forward
 from diffopt.gratings import Binary, Blazed, Reach, Sinusoidal
 
 WAVELENGTHS = np.linspace(0.42, 0.68, 5)

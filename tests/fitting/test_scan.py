@@ -9,8 +9,9 @@ import pytest
 
 import diffopt as do
 from diffopt.errors import InputError
-from diffopt.fitting import scan_noise, scan_squares
-from diffopt.fitting.scan import fit_scan
+from diffopt.fitting.scans import noise as scan_noise
+from diffopt.fitting.scans import squares as scan_squares
+from diffopt.fitting.scans.fit import fit_scan
 from diffopt.gratings import (
     Binary,
     Blazed,

@@ -7,8 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from diffopt.fitting import scan_codes, scan_noise, scan_register, scan_squares
-from diffopt.fitting.scan_convention import canonical
+from diffopt.fitting.scans import codes as scan_codes
+from diffopt.fitting.scans import noise as scan_noise
+from diffopt.fitting.scans import register as scan_register
+from diffopt.fitting.scans import squares as scan_squares
+from diffopt.fitting.scans.convention import canonical
 from diffopt.gratings import Binary, Blazed, Crossed, Ridges, Roughness, Sinusoidal, Trapezoid
 
 SHAPE, PIXEL = (40, 48), (0.05, 0.06)

@@ -1,6 +1,6 @@
 """Starts of a fit to a scan: spikes, filled pixels, wave vectors and mean profiles.
 
-Host-side float64 code; what it returns starts the fits of `scan_squares` and is not refined
+Host-side float64 code; what it returns starts the fits of `squares` and is not refined
 here.
 """
 

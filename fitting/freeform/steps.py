@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array
 
-from diffopt.fitting.freeform_priors import filtered
-from diffopt.fitting.freeform_problem import Problem, weighted
+from diffopt.fitting.freeform.priors import filtered
+from diffopt.fitting.freeform.problem import Problem, weighted
 
 Solver = Literal["lbfgs", "cg"]
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from diffopt.fitting import forward
+from diffopt.fitting.reflectance import forward
 from diffopt.gratings import Reach, Surface
 from diffopt.gratings.parametric import UNSEEN, kinds
 

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from diffopt.fitting.scan_register import Scan
-from diffopt.fitting.scan_squares import Pixels, Squares, heights, project
+from diffopt.fitting.scans.register import Scan
+from diffopt.fitting.scans.squares import Pixels, Squares, heights, project
 from diffopt.gratings import Parametric
 
 

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from diffopt import discs
 from diffopt.errors import InputError
-from diffopt.fitting.scan_register import Scan
+from diffopt.fitting.scans.register import Scan
 from diffopt.gratings.parametric import Parametric, parameters
 
 # Pits smaller than this share of the largest are dust.

@@ -1,7 +1,7 @@
 """Free heights of a surface from its reflectance, by L-BFGS or nonlinear conjugate gradients.
 
 Minimises the misfit of a `diffopt.DiffractionBRDF` to measured values plus a Gaussian prior
-(`freeform_problem`, `freeform_priors`), from a start near the truth, in `freeform_stages`.
+(`problem`, `priors`), from a start near the truth, in `stages`.
 Retrieving phases from intensities is not convex: see `fit_heights` for how near the start must
 be.
 """
@@ -18,14 +18,14 @@ import numpy as np
 from diffopt import checks
 from diffopt.diffraction import DiffractionBRDF
 from diffopt.errors import InputError
-from diffopt.fitting.freeform_equal import Average
-from diffopt.fitting.freeform_equal import nearest_equal as nearest_equal
-from diffopt.fitting.freeform_priors import Prior, prior_root
-from diffopt.fitting.freeform_problem import Settings, forward_settings, problem
-from diffopt.fitting.freeform_result import HeightsFit as HeightsFit
-from diffopt.fitting.freeform_result import result
-from diffopt.fitting.freeform_stages import Stages
-from diffopt.fitting.freeform_steps import Solver
+from diffopt.fitting.freeform.equal import Average
+from diffopt.fitting.freeform.equal import nearest_equal as nearest_equal
+from diffopt.fitting.freeform.priors import Prior, prior_root
+from diffopt.fitting.freeform.problem import Settings, forward_settings, problem
+from diffopt.fitting.freeform.result import HeightsFit as HeightsFit
+from diffopt.fitting.freeform.result import result
+from diffopt.fitting.freeform.stages import Stages
+from diffopt.fitting.freeform.steps import Solver
 from diffopt.fitting.measured import Measured
 from diffopt.fresnel import Reflectance
 from diffopt.heightfield import Heightfield

@@ -1,8 +1,8 @@
 """Fit of parametric surfaces to a scan, and which of them describes it best.
 
 Steps: wave vectors from the power spectrum, starts from the scan folded over a period
-(`scan_register`), least squares with plane and line offsets projected out (`scan_squares`) or,
-for random surfaces, likelihood of the spectrum (`scan_noise`), and comparison of all on the
+(`register`), least squares with plane and line offsets projected out (`squares`) or,
+for random surfaces, likelihood of the spectrum (`noise`), and comparison of all on the
 likelihood of what is left.
 """
 
@@ -18,8 +18,10 @@ from jaxtyping import Array, Float
 
 from diffopt import checks
 from diffopt.errors import InputError
-from diffopt.fitting import scan_candidates, scan_noise, scan_register
-from diffopt.fitting.scan_setting import Candidate, Setting, noise_alone
+from diffopt.fitting.scans import candidates as scan_candidates
+from diffopt.fitting.scans import noise as scan_noise
+from diffopt.fitting.scans import register as scan_register
+from diffopt.fitting.scans.setting import Candidate, Setting, noise_alone
 from diffopt.gratings import Surface
 from diffopt.heightfield import Heightfield
 
@@ -64,7 +66,7 @@ class ScanFit(eqx.Module):
     Attributes
     ----------
     model
-        Surface with fitted parameters, see `scan_convention` for which of several sets.
+        Surface with fitted parameters, see `convention` for which of several sets.
     names, covariance
         Parameters and their covariance [P, P]; NaN for those that the scan does not tell.
     errors
@@ -132,7 +134,7 @@ def fit_scan(
     Tilt and the offsets of scan lines are fitted beside the surface; missing pixels (NaN) have
     no weight. Models are ranked by a Bayesian information criterion, -2 log L + P log n: L is
     the debiased Whittle likelihood of the heights that a model leaves as random, under white
-    noise, correlated noise and line offsets fitted for each (`scan_noise`), on pixels averaged
+    noise, correlated noise and line offsets fitted for each (`noise`), on pixels averaged
     to 192 on a side at most; n counts the independent numbers in it. Standard errors allow for
     the correlation of the noise. A skewness that Gaussian roughness does not have speaks for
     bumps.

@@ -10,20 +10,18 @@ import numpy as np
 
 from diffopt import gratings
 from diffopt.errors import InputError
-from diffopt.fitting import (
-    scan_codes,
-    scan_disc,
-    scan_errors,
-    scan_noise,
-    scan_register,
-    scan_squares,
-    templates,
-)
-from diffopt.fitting.scan_convention import canonical, transformed
-from diffopt.fitting.scan_noise import Field
-from diffopt.fitting.scan_random import bumps, ridges, roughness
-from diffopt.fitting.scan_register import Scan
-from diffopt.fitting.scan_setting import Candidate, Setting, law
+from diffopt.fitting.reflectance import templates
+from diffopt.fitting.scans import codes as scan_codes
+from diffopt.fitting.scans import disc as scan_disc
+from diffopt.fitting.scans import errors as scan_errors
+from diffopt.fitting.scans import noise as scan_noise
+from diffopt.fitting.scans import register as scan_register
+from diffopt.fitting.scans import squares as scan_squares
+from diffopt.fitting.scans.convention import canonical, transformed
+from diffopt.fitting.scans.noise import Field
+from diffopt.fitting.scans.random_surfaces import bumps, ridges, roughness
+from diffopt.fitting.scans.register import Scan
+from diffopt.fitting.scans.setting import Candidate, Setting, law
 from diffopt.gratings import (
     Binary,
     Blazed,

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from diffopt.fitting import forward
+from diffopt.fitting.reflectance import forward
 
 _ORDERS = 4
 _PEAKS = 16

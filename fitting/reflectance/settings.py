@@ -4,7 +4,7 @@ import dataclasses
 
 from diffopt import checks
 from diffopt.errors import InputError
-from diffopt.fitting import solving
+from diffopt.fitting.reflectance import solving
 
 
 @dataclasses.dataclass(frozen=True)

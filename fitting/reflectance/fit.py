@@ -1,6 +1,6 @@
 """Fit of a parametric surface to reflectance: from the data alone, or from given starts.
 
-1. Lattices by the grating equation, other parameters by a design (`diffopt.fitting.starts`).
+1. Lattices by the grating equation, other parameters by a design (`starts`).
 2. All of them are compared with the brightest and some other rows of the data.
 3. Least squares from the best, in one program, on the same rows.
 4. The best few are finished on all of the data; once more with more starts if chi^2 says that
@@ -10,7 +10,7 @@ A surface that spreads the lines of one within it (`Ridges`, `Jittered`, `Superp
 fit of that one.
 
 From given starts, 1 to 3 give way to stages that are coarse to fine in the coherence window
-(`diffopt.fitting.solving.windows`).
+(`solving.windows`).
 """
 
 import math
@@ -20,13 +20,13 @@ import numpy as np
 
 from diffopt.diffraction import Shadowing
 from diffopt.errors import InputError
-from diffopt.fitting import forward
-from diffopt.fitting.answers import ReflectanceFit
-from diffopt.fitting.fit_settings import FitSettings
-from diffopt.fitting.maps import default_bounds
 from diffopt.fitting.measured import Measured
-from diffopt.fitting.reflectance_run import SOME_ROWS, Progress, Run
-from diffopt.fitting.templates import lattice, templates
+from diffopt.fitting.reflectance import forward
+from diffopt.fitting.reflectance.answers import ReflectanceFit
+from diffopt.fitting.reflectance.maps import default_bounds
+from diffopt.fitting.reflectance.run import SOME_ROWS, Progress, Run
+from diffopt.fitting.reflectance.settings import FitSettings
+from diffopt.fitting.reflectance.templates import lattice, templates
 from diffopt.fresnel import Reflectance
 from diffopt.gratings import CompactDisc, Surface
 from diffopt.gratings.parametric import seen_in_power
@@ -51,14 +51,14 @@ def fit_reflectance(
     measured
         The data, with their noise and, if it is not known, a free gain.
     model
-        A name (`diffopt.fitting.templates.NAMED`) or a class of `diffopt.gratings`: starts come
+        A name (`templates.NAMED`) or a class of `diffopt.gratings`: starts come
         from the data. Or a surface, or several of one kind: these are the starts, and what is
         not free stays as in them.
     free
         Names of the parameters to fit; by default all that |P|^2 depends on, less the angle
         where all directions lie in one plane.
     bounds
-        (low, high) by name, in place of those of `diffopt.fitting.maps.default_bounds`.
+        (low, high) by name, in place of those of `maps.default_bounds`.
     fresnel, shadowing
         Of the surface, as for `diffopt.DiffractionBRDF`.
     settings

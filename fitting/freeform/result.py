@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffopt.diffraction import DiffractionBRDF
-from diffopt.fitting.freeform_equal import Average, nearest_equal
-from diffopt.fitting.freeform_errors import posterior_deviation
-from diffopt.fitting.freeform_priors import slopes
-from diffopt.fitting.freeform_stages import Stages
+from diffopt.fitting.freeform.equal import Average, nearest_equal
+from diffopt.fitting.freeform.errors import posterior_deviation
+from diffopt.fitting.freeform.priors import slopes
+from diffopt.fitting.freeform.stages import Stages
 from diffopt.heightfield import Heightfield
 
 

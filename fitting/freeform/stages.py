@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from diffopt.fitting.freeform_priors import Prior
-from diffopt.fitting.freeform_problem import Problem, Settings
-from diffopt.fitting.freeform_steps import Solver, advance, begin, mean_curvature, prepare
+from diffopt.fitting.freeform.priors import Prior
+from diffopt.fitting.freeform.problem import Problem, Settings
+from diffopt.fitting.freeform.steps import Solver, advance, begin, mean_curvature, prepare
 
 # Trial steps in one call of the compiled program.
 _BLOCK = 10

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from diffopt import bounds, costs, methods
 from diffopt.baking import Box
 from diffopt.diffraction import DiffractionBRDF, factors
-from diffopt.fitting.freeform_priors import Prior, filtered
+from diffopt.fitting.freeform.priors import Prior, filtered
 from diffopt.fitting.measured import Measured
 from diffopt.heightfield import Heightfield
 from diffopt.kernels import frames, phase

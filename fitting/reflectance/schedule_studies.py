@@ -18,10 +18,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffopt.accuracy.studies import Case, Job, Study
-from diffopt.fitting import forward, solving, start_design, starts
-from diffopt.fitting.fit_settings import FitSettings
-from diffopt.fitting.maps import Bounds, default_bounds
 from diffopt.fitting.measured import Measured
+from diffopt.fitting.reflectance import forward, solving, start_design, starts
+from diffopt.fitting.reflectance.maps import Bounds, default_bounds
+from diffopt.fitting.reflectance.settings import FitSettings
 from diffopt.gratings import Binary, Reach, Surface
 
 SIGMA, LAM = 2.0, np.linspace(0.42, 0.68, 7)

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from diffopt.errors import InputError
-from diffopt.fitting.answers import RankedModel, ReflectanceFit
 from diffopt.fitting.measured import Measured
-from diffopt.fitting.reflectance import Progress, fit_reflectance, rows_misfit
+from diffopt.fitting.reflectance.answers import RankedModel, ReflectanceFit
+from diffopt.fitting.reflectance.fit import Progress, fit_reflectance, rows_misfit
 
 #: What ``"auto"`` compares, simple ones first.
 AUTO = (

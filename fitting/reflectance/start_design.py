@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from diffopt.errors import InputError
-from diffopt.fitting import forward, starts
-from diffopt.fitting.answers import Minimum
-from diffopt.fitting.fit_settings import FitSettings
-from diffopt.fitting.maps import Bounds
-from diffopt.fitting.templates import lattice
+from diffopt.fitting.reflectance import forward, starts
+from diffopt.fitting.reflectance.answers import Minimum
+from diffopt.fitting.reflectance.maps import Bounds
+from diffopt.fitting.reflectance.settings import FitSettings
+from diffopt.fitting.reflectance.templates import lattice
 from diffopt.gratings import Surface
 from diffopt.gratings.parametric import kinds
 

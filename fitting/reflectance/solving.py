@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float, Int
 
-from diffopt.fitting import forward
-from diffopt.fitting.maps import Bounds
+from diffopt.fitting.reflectance import forward
+from diffopt.fitting.reflectance.maps import Bounds
 from diffopt.fitting.solvers import NormalLevenbergMarquardt
 from diffopt.gratings import Reach, Surface
 

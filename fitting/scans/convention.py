@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from diffopt.fitting.scan_disc import Pits
+from diffopt.fitting.scans.disc import Pits
 from diffopt.gratings import Binary, Blazed, Grating, Parametric, Sinusoidal, Trapezoid
 
 

@@ -1,6 +1,6 @@
 """One fit of a parametric surface to reflectance: its stages, and what they leave.
 
-`diffopt.fitting.reflectance` says what the stages are.
+`diffopt.fitting.reflectance.fit` says what the stages are.
 """
 
 import dataclasses
@@ -12,12 +12,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from diffopt.fitting import answers, forward, solving, start_design, starts
-from diffopt.fitting.answers import Minimum, ReflectanceFit
-from diffopt.fitting.fit_settings import FitSettings
-from diffopt.fitting.maps import Bounds
 from diffopt.fitting.measured import Measured
-from diffopt.fitting.templates import lattice, nested
+from diffopt.fitting.reflectance import answers, forward, solving, start_design, starts
+from diffopt.fitting.reflectance.answers import Minimum, ReflectanceFit
+from diffopt.fitting.reflectance.maps import Bounds
+from diffopt.fitting.reflectance.settings import FitSettings
+from diffopt.fitting.reflectance.templates import lattice, nested
 from diffopt.gratings import Reach, Surface, reach_for
 from diffopt.gratings.parametric import kinds
 

@@ -5,8 +5,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from diffopt.fitting.freeform_priors import filtered
-from diffopt.fitting.freeform_problem import Problem
+from diffopt.fitting.freeform.priors import filtered
+from diffopt.fitting.freeform.problem import Problem
 
 # Information on what is fixed by convention, in units of that of the prior.
 _HELD = 1e4

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from diffopt.fitting.scan_disc import Pits
+from diffopt.fitting.scans.disc import Pits
 from diffopt.gratings import Parametric, Surface
 from diffopt.gratings.parametric import kinds
 

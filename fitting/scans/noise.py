@@ -21,8 +21,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from diffopt.fitting.scan_codes import decoded, encoded, natural
-from diffopt.fitting.scan_register import Scan
+from diffopt.fitting.scans.codes import decoded, encoded, natural
+from diffopt.fitting.scans.register import Scan
 from diffopt.gratings import Ridges, Roughness, Surface
 from diffopt.gratings.parametric import kinds, seen_in_power
 

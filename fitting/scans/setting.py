@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from diffopt.fitting import scan_noise
-from diffopt.fitting.scan_noise import Field
-from diffopt.fitting.scan_register import Scan
-from diffopt.fitting.scan_squares import Squares
+from diffopt.fitting.scans import noise as scan_noise
+from diffopt.fitting.scans.noise import Field
+from diffopt.fitting.scans.register import Scan
+from diffopt.fitting.scans.squares import Squares
 from diffopt.gratings import Parametric, Surface
 
 

@@ -7,10 +7,10 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from diffopt.fitting import scan_noise
-from diffopt.fitting.scan_convention import canonical
-from diffopt.fitting.scan_noise import Field
-from diffopt.fitting.scan_setting import Candidate, Setting, law
+from diffopt.fitting.scans import noise as scan_noise
+from diffopt.fitting.scans.convention import canonical
+from diffopt.fitting.scans.noise import Field
+from diffopt.fitting.scans.setting import Candidate, Setting, law
 from diffopt.gratings import Bumps, Ridges, Roughness, Sinusoidal, Surface
 
 # The most that skewness may speak for bumps, twice a log likelihood: other things skew too.

@@ -17,9 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from diffopt.fitting.scan_codes import decoded, encoded, field, free
-from diffopt.fitting.scan_descent import descended
-from diffopt.fitting.scan_register import Scan
+from diffopt.fitting.scans.codes import decoded, encoded, field, free
+from diffopt.fitting.scans.descent import descended
+from diffopt.fitting.scans.register import Scan
 from diffopt.gratings import Parametric
 from diffopt.gratings.parametric import kinds
 
