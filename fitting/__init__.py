@@ -9,6 +9,7 @@ Inverse problems solved with optimistix.
 `reflectance`       a surface's parameters from reflectance, from the data alone
 `scans`             a surface's parameters from its heights, models ranked
 `freeform`          every height from reflectance
+`ranked`            a row of a ranking
 `lobes`             functions on the sphere to von Mises-Fisher lobes, by `lobe_settings`
 `lobe_targets`      what they are fitted to; `lobe_samples`: samples
 `brdf`              whole BRDFs, with lobes that belong together
@@ -37,7 +38,7 @@ from diffopt.fitting.lobe_targets import fit_lobes as fit_lobes
 from diffopt.fitting.lobe_targets import fit_table as fit_table
 from diffopt.fitting.lobes import LobeFit as LobeFit
 from diffopt.fitting.measured import Measured as Measured
-from diffopt.fitting.reflectance.answers import RankedModel as RankedModel
+from diffopt.fitting.ranked import Ranked as Ranked
 from diffopt.fitting.reflectance.answers import ReflectanceFit as ReflectanceFit
 from diffopt.fitting.reflectance.fit import fit_reflectance as fit_reflectance
 from diffopt.fitting.reflectance.ranking import rank_reflectance as rank_reflectance

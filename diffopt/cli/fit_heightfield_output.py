@@ -109,6 +109,7 @@ def document(subject: "Subject", asked: "Asked", fit: Any, seconds: float) -> di
             "misfit": "norm of the residuals over that of the data, both over the noise"
             if subject.kind != "scan"
             else "root of the share of the variance of the levelled heights that is not explained",
+            "ranking misfit": "um, rms" if subject.kind == "scan" else "as misfit",
             "criterion": "Bayesian information criterion",
         },
         "settings": dataclasses.asdict(asked),

@@ -58,7 +58,7 @@ def _parts(content: dict[str, Any]) -> "list[RenderableType]":
         ]
         out += ["", *(f"- {text}" for text in loose)] if loose else []
     if len(content.get("ranking", ())) > 1:
-        out += ["", _ranking(content["ranking"])]
+        out += ["", _ranking(content["ranking"], scan="goodness" in content)]
     out += [f"note: {escape(note)}" for note in content["notes"]]
     return out
 
@@ -86,16 +86,15 @@ def _table(content: dict[str, Any]) -> Any:
     return table
 
 
-def _ranking(rows: list[dict[str, Any]]) -> Any:
+def _ranking(rows: list[dict[str, Any]], *, scan: bool) -> Any:
     from rich.markup import escape
     from rich.table import Table
 
     table = Table(box=None, padding=(0, 2, 0, 0))
-    scan = "rms" in rows[0]
     for title in ("model", "criterion", "free", "rms nm" if scan else "misfit", "answer"):
         table.add_column(title, justify="left" if title in ("model", "answer") else "right")
     for row in rows:
-        size = row["rms"] if scan else row["misfit"]
+        size = row["misfit"]
         shown = "" if size is None else (f"{1000 * size:.3g}" if scan else f"{size:.2e}")
         gap = "" if row["difference"] is None else f"+{row['difference']:.1f}"
         sure = "yes" if row["converged"] else f"no: {escape(row['reason'])}"

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from diffopt.fitting.ranked import Ranked
 from diffopt.fitting.reflectance import forward
 from diffopt.gratings import Reach, Surface
 from diffopt.gratings.parametric import UNSEEN, kinds
@@ -43,35 +44,6 @@ class Minimum:
     parameters: dict[str, float]
     loss: float
     starts: int
-
-
-@dataclasses.dataclass(frozen=True)
-class RankedModel:
-    """A row of the ranking of models for the same data.
-
-    Attributes
-    ----------
-    name
-        Of the model.
-    criterion
-        Bayesian information criterion: smaller is better.
-    difference
-        To the best of the ranking.
-    parameters
-        That were fitted, a free gain included.
-    misfit
-        Norm of the residuals over that of the data, both over the noise.
-    converged, reason
-        Whether it is an answer, and a sentence.
-    """
-
-    name: str
-    criterion: float
-    difference: float
-    parameters: int
-    misfit: float
-    converged: bool
-    reason: str
 
 
 @dataclasses.dataclass(frozen=True)
@@ -129,7 +101,7 @@ class ReflectanceFit:
     curves: dict[str, np.ndarray]
     criterion: float
     interrupted: bool
-    ranking: tuple[RankedModel, ...] = ()
+    ranking: tuple[Ranked, ...] = ()
 
     @property
     def errors(self) -> dict[str, float]:

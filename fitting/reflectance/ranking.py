@@ -7,7 +7,8 @@ from typing import Any
 
 from diffopt.errors import InputError
 from diffopt.fitting.measured import Measured
-from diffopt.fitting.reflectance.answers import RankedModel, ReflectanceFit
+from diffopt.fitting.ranked import Ranked
+from diffopt.fitting.reflectance.answers import ReflectanceFit
 from diffopt.fitting.reflectance.fit import Progress, fit_reflectance, rows_misfit
 
 #: What ``"auto"`` compares, simple ones first.
@@ -99,7 +100,7 @@ def rank_reflectance(
     name, best = found[0]
     count = 1 if measured.gain == "free" else 0
     ranking = [
-        RankedModel(
+        Ranked(
             name,
             fit.criterion,
             fit.criterion - best.criterion,
@@ -111,8 +112,7 @@ def rank_reflectance(
         for name, fit in found
     ]
     ranking += [
-        RankedModel(name, math.inf, math.inf, 0, math.inf, False, str(error))
-        for name, error in refused
+        Ranked(name, math.inf, math.inf, 0, math.inf, False, str(error)) for name, error in refused
     ]
     changes: dict[str, Any] = {"ranking": tuple(ranking)}
     if interrupted:

@@ -6,7 +6,6 @@ for random surfaces, likelihood of the spectrum (`noise`), and comparison of all
 likelihood of what is left.
 """
 
-import dataclasses
 import math
 from collections.abc import Callable
 from typing import Any
@@ -18,6 +17,7 @@ from jaxtyping import Array, Float
 
 from diffopt import checks
 from diffopt.errors import InputError
+from diffopt.fitting.ranked import Ranked
 from diffopt.fitting.scans import candidates as scan_candidates
 from diffopt.fitting.scans import noise as scan_noise
 from diffopt.fitting.scans import register as scan_register
@@ -29,35 +29,6 @@ Progress = Callable[[str, int, int], None]
 
 # A difference of the criterion that counts as very strong evidence (Kass and Raftery 1995).
 _STRONG = 10.0
-
-
-@dataclasses.dataclass(frozen=True)
-class Ranked:
-    """A row of the ranking.
-
-    Attributes
-    ----------
-    name
-        Of the model.
-    criterion
-        Bayesian information criterion: smaller is better.
-    difference
-        To the best of the ranking.
-    parameters
-        That count, those of the noise and of a disc's own pits included.
-    rms
-        Of the residual, micrometres; for random surfaces of the noise beside them.
-    converged, reason
-        Whether it can be used, and a sentence.
-    """
-
-    name: str
-    criterion: float
-    difference: float
-    parameters: int
-    rms: float
-    converged: bool
-    reason: str
 
 
 class ScanFit(eqx.Module):
