@@ -41,6 +41,8 @@ from diffopt.fitting.measured import Measured as Measured
 from diffopt.fitting.ranked import Ranked as Ranked
 from diffopt.fitting.reflectance.answers import ReflectanceFit as ReflectanceFit
 from diffopt.fitting.reflectance.fit import fit_reflectance as fit_reflectance
+from diffopt.fitting.reflectance.profiles import Profile as Profile
+from diffopt.fitting.reflectance.profiles import profile as profile
 from diffopt.fitting.reflectance.ranking import rank_reflectance as rank_reflectance
 from diffopt.fitting.reflectance.settings import FitSettings as FitSettings
 from diffopt.fitting.scans.fit import ScanFit as ScanFit

@@ -11,6 +11,7 @@
 `forward`           what a surface would have measured
 `solving`           least squares from several starts, coarse to fine
 `answers`           errors, what the data cannot tell, and the verdict
+`profiles`          the least misfit over one parameter
 `schedule_studies`  what accuracy costs
 ==================  ==========================================================
 """

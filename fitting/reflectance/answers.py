@@ -3,7 +3,6 @@
 import dataclasses
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -82,6 +81,8 @@ class ReflectanceFit:
         Bayesian information criterion.
     interrupted
         Whether it ended before it was done.
+    reach
+        What was summed of the model's spectrum.
     ranking
         All models that were compared, best first.
     """
@@ -101,6 +102,7 @@ class ReflectanceFit:
     curves: dict[str, np.ndarray]
     criterion: float
     interrupted: bool
+    reach: Reach
     ranking: tuple[Ranked, ...] = ()
 
     @property
@@ -221,6 +223,7 @@ def judged(
         curves,
         criterion,
         interrupted is not None,
+        reach,
     )
 
 
@@ -311,30 +314,3 @@ def _verdict(
     if loose:
         return True, f"Converged, but the data do not determine {', '.join(loose)}."
     return True, "Converged."
-
-
-def as_dict(fit: ReflectanceFit) -> dict[str, Any]:
-    """A fit in plain numbers and words, for a file."""
-    errors, every = fit.errors, kinds(fit.model)
-    return {
-        "model": type(fit.model).__name__,
-        "parameters": {
-            name: {
-                "value": float(fit.model.get(name)),
-                "error": errors.get(name) if math.isfinite(errors.get(name, 0.0)) else None,
-                "kind": kind,
-                "identifiable": fit.identifiable[name],
-            }
-            for name, kind in every.items()
-        },
-        "names": list(fit.names),
-        "covariance": [[v if math.isfinite(v) else None for v in row] for row in fit.covariance],
-        "gain": fit.gain,
-        "misfit": fit.loss,
-        "chi2": fit.chi2,
-        "converged": fit.converged,
-        "reason": fit.reason,
-        "steps": fit.steps,
-        "minima": [dataclasses.asdict(minimum) for minimum in fit.minima],
-        "ranking": [dataclasses.asdict(row) for row in fit.ranking],
-    }

@@ -217,3 +217,33 @@ def test_a_disc_from_the_reflectance_of_its_heights(rng):
     # depths 0.111 to 0.120 um.
     assert float(fit.model.pitch) == pytest.approx(do.discs.TRACK_PITCH, rel=0.01)
     assert float(fit.model.depth) == pytest.approx(0.12, rel=0.1)
+
+
+class TestProfiles:
+    def test_near_the_minimum_it_is_the_covariance(self, rng):
+        data = simulated(TRUE, rng)
+        fit = fitting.fit_heightfield(data, Binary(1.88, 0.2, 0.28, 0.0, -0.89))
+        at, error = float(fit.model.depth), fit.errors["depth"]
+        found = fitting.profile(data, fit, "depth", at + error * np.array([-2.0, -1.0, 0.0, 1.0]))
+        # Chi^2 of a parameter held n standard errors off is n^2, but for curvature.
+        np.testing.assert_allclose(found.chi2, [4.0, 1.0, 0.0, 1.0], atol=0.1)
+        assert set(found.others) == {"period", "duty", "angle"}
+
+    def test_minima_of_a_saw(self, rng):
+        # Depths a wavelength's order apart reflect much alike where there is one wavelength.
+        true = Blazed(2.0, 0.2, 0.0, 0.4)
+        data = simulated(true, rng)
+        fit = fitting.fit_heightfield(data, "blazed")
+        found = fitting.profile(data, fit, "depth")
+        assert len(found.minima) > 1
+        best = found.values[found.loss.argmin()]
+        assert best == pytest.approx(float(fit.model.depth), abs=fit.errors["depth"])
+        assert found.loss.min() == pytest.approx(fit.loss, rel=1e-3)
+
+    def test_refusals(self, rng):
+        data = simulated(TRUE, rng)
+        fit = fitting.fit_heightfield(data, TRUE, free=("period", "depth"))
+        with pytest.raises(InputError, match="name must be one of period, depth; received 'duty'"):
+            fitting.profile(data, fit, "duty")
+        with pytest.raises(InputError, match="values must be finite"):
+            fitting.profile(data, fit, "depth", [0.1, np.nan])
