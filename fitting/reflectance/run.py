@@ -156,12 +156,16 @@ class Run:
         for _ in range(self.settings.retries):
             if not self.measured.noise_known or self.chi2() < answers.MISFIT:
                 break
-            first = self.last, self.minima, self.curves
-            self.curves = {}
-            self._once(self.settings.harder(), None)
-            assert self.last is not None
-            if first[0] is not None and min(first[0].loss) <= min(self.last.loss):
-                self.last, self.minima, self.curves = first
+            first, kept = self.last, (self.minima, self.curves)
+            assert first is not None
+            self.curves, done = {}, False
+            try:
+                self._once(self.settings.harder(), None)
+                done = True
+            finally:
+                # Losses on some rows, which an interruption leaves, are not those on all.
+                if not done or min(first.loss) <= min(self.last.loss):
+                    self.last, (self.minima, self.curves) = first, kept
         return True
 
     def chi2(self) -> float:
