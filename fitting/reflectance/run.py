@@ -72,9 +72,11 @@ class Run:
         """Begin a stage, and report it."""
         self.doing = doing
         if self.progress is not None:
-            self.progress(
-                doing, share, math.inf if self.last is None else float(min(self.last.loss))
-            )
+            self.progress(doing, share, self.least())
+
+    def least(self) -> float:
+        """Least loss of the last stage that was done; infinite before the first."""
+        return math.inf if self.last is None else float(min(self.last.loss))
 
     def reach(self, longest: float, faint: float = 1e-7) -> Reach:
         """Static sizes, rounded so that similar data share their programs."""
@@ -156,22 +158,20 @@ class Run:
         for _ in range(self.settings.retries):
             if not self.measured.noise_known or self.chi2() < answers.MISFIT:
                 break
-            first, kept = self.last, (self.minima, self.curves)
-            assert first is not None
-            self.curves, done = {}, False
+            loss, first = self.least(), (self.last, self.minima, self.curves)
+            self.curves, better = {}, False
             try:
                 self._once(self.settings.harder(), None)
-                done = True
+                better = self.least() < loss
             finally:
-                # Losses on some rows, which an interruption leaves, are not those on all.
-                if not done or min(first.loss) <= min(self.last.loss):
-                    self.last, (self.minima, self.curves) = first, kept
+                # An interruption leaves losses on some rows, which are not those on all.
+                if not better:
+                    self.last, self.minima, self.curves = first
         return True
 
     def chi2(self) -> float:
         """Squared residuals over the noise per value."""
-        assert self.last is not None
-        return (min(self.last.loss) * self.norm) ** 2 / self.measured.values.size
+        return (self.least() * self.norm) ** 2 / self.measured.values.size
 
     @property
     def norm(self) -> float:
@@ -221,9 +221,8 @@ class Run:
 
     def left_out(self, give_up: float | None) -> str:
         """Why it was not finished."""
-        assert self.last is not None
         return (
-            f"The fit was not finished: the misfit on some rows is {min(self.last.loss):.3g}, that "
+            f"The fit was not finished: the misfit on some rows is {self.least():.3g}, that "
             f"of a better model below {give_up:.3g}."
         )
 

@@ -159,3 +159,22 @@ def test_residuals_have_the_gradient_of_differences(rng):
         # Central differences: rounding 1e-16 / 1e-6 and curvature 1e-12 of the slope's scale.
         expected = (up - down) / (2 * step)
         assert slope[k] == pytest.approx(expected, rel=1e-4, abs=1e-5 * np.abs(slope).max())
+
+
+@pytest.mark.parametrize("stop", [False, True])
+def test_a_wrong_answer_is_tried_again(stop, rng):
+    """A saw is no sine: the second try cannot help, and leaves the first."""
+    seen = []
+
+    def progress(what, share, loss):
+        seen.append(what)
+        if stop and seen.count("least squares on all data") == 2:
+            raise KeyboardInterrupt
+
+    data = simulated(Blazed(1.7, 0.3, 0.0, 2.2), rng)
+    fit = fitting.fit_reflectance(data, "sinusoidal", progress=progress)
+    assert seen.count("least squares on all data") == 2
+    assert fit.interrupted == stop
+    once = fitting.fit_reflectance(data, "sinusoidal", settings=fitting.FitSettings(retries=0))
+    assert fit.loss <= once.loss * (1 + 1e-9)
+    assert len(fit.values) == len(data.values)
