@@ -3,8 +3,9 @@
 Values inside somebody else's jit are traced and cannot be looked at; they pass.
 """
 
+import difflib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import jax.core
@@ -32,6 +33,17 @@ def choice(name: str, value: str, options: Sequence[str]) -> Any:
     if value not in options:
         raise InputError(f"{name} must be one of {', '.join(options)}; received {value!r}")
     return value
+
+
+def nearest(word: Any, options: Iterable[str]) -> str:
+    """The nearest of some words; empty if none is near."""
+    return next(iter(difflib.get_close_matches(str(word), list(options), 1)), "")
+
+
+def in_plane(wave: np.ndarray) -> bool:
+    """Whether all (u, v) of pairs of directions, [M, 2], lie on one line, to a thousandth."""
+    size = np.linalg.svd(wave, compute_uv=False)
+    return len(size) < 2 or bool(size[1] < 1e-3 * max(float(size[0]), 1e-12))
 
 
 def directions(name: str, value: Values) -> None:

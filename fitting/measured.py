@@ -130,7 +130,7 @@ class Measured(eqx.Module):
         noise = jnp.asarray(1.0 if noise is None else noise, dtype)
         self.noise = jnp.broadcast_to(noise, values.shape)
         self.quantity, self.noise_known, self.gain = quantity, bool(noise_known), gain
-        self.weights = _weights(np.asarray(wavelengths), illuminant, quantity, dtype)
+        self.weights = colour_weights(np.asarray(wavelengths), illuminant, quantity, dtype)
 
     def astype(self, dtype: Any) -> "Measured":
         """With another floating-point type."""
@@ -162,7 +162,7 @@ class Measured(eqx.Module):
         )
 
 
-def _weights(wavelengths: np.ndarray, illuminant: Any, quantity: Quantity, dtype: Any) -> Any:
+def colour_weights(wavelengths: np.ndarray, illuminant: Any, quantity: Quantity, dtype: Any) -> Any:
     """From spectra on these wavelengths to colours, [L, 3]; None for spectra."""
     if quantity not in COLOURS:
         return None

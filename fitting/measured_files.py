@@ -11,12 +11,11 @@ black beside others that are not, was clipped: its true colour is not known, and
 out with a warning. A row that is black in all channels is dark, and stays.
 """
 
-import difflib
 import json
 import os
 import warnings
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, get_args
 
@@ -28,6 +27,7 @@ import numpy as np
 from diffopt.errors import InputError
 from diffopt.fitting import measured_text
 from diffopt.fitting.measured import COLOURS, Gain, Measured, Quantity
+from diffopt.fitting.measured_text import expected
 from diffopt.io.files import existing_file, one_line, replacing, require_signature
 from diffopt.io.units import to_micrometres
 
@@ -136,13 +136,6 @@ def is_measured(path: str | os.PathLike) -> bool:
         except zipfile.BadZipFile:
             return False
     return suffix == ".csv" and measured_text.has_names(path)
-
-
-def expected(name: str, known: Iterable[str]) -> str:
-    """What was expected in place of an unknown name: the nearest one, or all."""
-    known = list(known)
-    near = difflib.get_close_matches(name, known, 1)
-    return f"did you mean {near[0]!r}?" if near else f"expected one of {', '.join(known)}"
 
 
 def _entries(measured: Measured) -> dict[str, np.ndarray]:

@@ -24,13 +24,14 @@ import csv
 import io
 import math
 import re
+from collections.abc import Collection
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from diffopt import colour
+from diffopt import checks, colour
 from diffopt.errors import InputError
 from diffopt.illuminants import COMMON
 from diffopt.io.units import to_micrometres
@@ -109,6 +110,12 @@ def read(path: Path) -> dict[str, Any]:
     return found | {"lines": lines}
 
 
+def expected(name: str, known: Collection[str]) -> str:
+    """What was expected in place of an unknown name: the nearest one, or all."""
+    near = checks.nearest(name, known)
+    return f"did you mean {near!r}?" if near else f"expected one of {', '.join(known)}"
+
+
 def has_names(path: Path) -> bool:
     """Whether the first line that is no comment names columns of reflectance."""
     with path.open(encoding="utf-8-sig", errors="replace") as file:
@@ -162,8 +169,6 @@ def _table(path: Path, found: dict[str, Any]) -> tuple[list[str], list[tuple[int
 
 def _keep(path: Path, line: int, found: dict[str, Any], key: str, text: str) -> None:
     """Read one ``# key: value unit``."""
-    from diffopt.fitting.measured_files import expected
-
     where = f"{path}: line {line}"
     if key not in KEYS:
         raise InputError(f"{where}: key {key!r} is not known; {expected(key, KEYS)}")
@@ -211,8 +216,6 @@ def _length(what: str, text: str, example: str) -> Decimal:
 
 def _columns(path: Path, names: list[str]) -> tuple[str, np.ndarray | None, list[str], list[str]]:
     """Kind of colours or none, wavelengths, names of values, and of their noise in that order."""
-    from diffopt.fitting.measured_files import expected
-
     found: dict[Any, str] = {}
     noise: dict[Any, str] = {}
     channels = {name for some in _CHANNELS.values() for name in some}
@@ -372,14 +375,14 @@ def _nanometres(wavelength: Any) -> str:
 
 def _illuminant(path: Path, measured: "Measured") -> str:
     """Its name, found by the weights."""
-    from diffopt.fitting.measured import _weights
+    from diffopt.fitting.measured import colour_weights
 
     weights = np.asarray(measured.weights)
     wavelengths = np.asarray(measured.wavelengths, np.float64)
     close = 1e-4 if weights.dtype == np.float32 else 1e-9
     for name in COMMON:
         try:
-            known = _weights(wavelengths, name, measured.quantity, weights.dtype)
+            known = colour_weights(wavelengths, name, measured.quantity, weights.dtype)
         except ValueError:  # its table is too short for these wavelengths
             continue
         if np.allclose(weights, known, rtol=0.0, atol=close * float(np.abs(weights).max())):

@@ -4,7 +4,7 @@ import dataclasses
 import math
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
@@ -21,9 +21,6 @@ NO_ANSWER = 1
 
 #: Trial steps of a fit of every height.
 MOST_STEPS = 500
-
-_PARAMETRIC = ("normal-lm", "lm", "dogleg", "bfgs")
-_FREE_HEIGHTS = ("lbfgs", "cg")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -162,6 +159,8 @@ def read(asked: Asked, source: Source) -> Subject:
         For what cannot be read, and for options that are for other data.
     """
     from diffopt.fitting import measured_files
+    from diffopt.fitting.freeform import steps
+    from diffopt.fitting.reflectance.solving import SOLVERS
 
     refused = {
         "--start": asked.start is not None,
@@ -183,7 +182,7 @@ def read(asked: Asked, source: Source) -> Subject:
     if not asked.drift:
         raise InputError(f"--no-drift is for scans; {asked.file} holds reflectance")
     data, notes = _measured(asked)
-    solvers = _PARAMETRIC if asked.start is None else _FREE_HEIGHTS
+    solvers = SOLVERS if asked.start is None else get_args(steps.Solver)
     if asked.solver is not None and asked.solver not in solvers:
         where = "" if asked.start is None else " with --start"
         raise InputError(

@@ -33,8 +33,6 @@ _WORDS = {
     "heights": "every height, from reflectance",
 }
 _UNITS = {"spectral": "1/sr", "relative": "of a mirror", "power": "of a mirror's peak"}
-# Steps between two losses of a fit of every height.
-_BLOCK = 10
 
 
 def plain(value: Any) -> Any:
@@ -135,7 +133,7 @@ def _parametric(fit: Any) -> dict[str, Any]:
             ),
         }
     content = {
-        "model": type(fit.model).__name__.lower(),
+        "model": fit.model.title,
         "parameters": table,
         "names": list(fit.names),
         "covariance": np.asarray(fit.covariance, np.float64),
@@ -182,8 +180,10 @@ def _losses(subject: "Subject", fit: Any, title: str) -> Any:
     from diffopt.fitting.reflectance.templates import NAMED
 
     if subject.kind == "heights":
+        from diffopt.fitting.freeform.stages import BLOCK
+
         curves = {"fit": np.asarray(fit.history)}
-        return surface_fits.losses(title, curves, label="loss", every=_BLOCK)
+        return surface_fits.losses(title, curves, label="loss", every=BLOCK)
     if subject.kind == "reflectance":
         what = "norm of the residuals over that of the data"
         return surface_fits.losses(title, fit.curves, label=what)
@@ -202,16 +202,9 @@ def _drawn(surface: Surface) -> bool:
 
 def _as_heightfield(heights: Any, scan: Any) -> dict[str, Any]:
     """Entries by which `diffopt.Heightfield.load` knows heights."""
-    from diffopt.io.arrays import FORMAT, VERSION
+    from diffopt.io.arrays import entries
 
-    return {
-        "format": np.array(FORMAT),
-        "version": np.array(VERSION),
-        "unit": np.array("um"),
-        "pixel": np.asarray(scan.pixel, np.float64),
-        "steps": np.array(json.dumps([*scan.provenance.steps, "fitted"])),
-        "heights": np.asarray(heights),
-    }
+    return entries(np.asarray(heights), scan.pixel, (*scan.provenance.steps, "fitted"))
 
 
 def _scan_pictures(
@@ -263,8 +256,7 @@ def _reflectance_pictures(
 
     data = subject.data
     measured = np.asarray(data.values, np.float64)
-    values = predicted(data, fit) if subject.kind == "heights" else fit.values
-    values = np.asarray(values, np.float64)
+    values = np.asarray(fit.values, np.float64)
     wave = -np.asarray(data.wi + data.wo, np.float64)[:, :2]
     wavelengths = np.asarray(data.wavelengths, np.float64)
     noise = np.asarray(data.noise, np.float64)
@@ -307,27 +299,3 @@ def _reflectance_pictures(
         "residual": left.astype(np.asarray(data.values).dtype),
         "attributes": np.array(json.dumps({"units": units, "quantity": data.quantity})),
     }, figures
-
-
-def predicted(data: Any, fit: Any) -> np.ndarray:
-    """Values of fitted heights, as those of the data, [M, C]."""
-    from diffopt import DiffractionBRDF
-    from diffopt.fitting.freeform import problem as freeform_problem
-
-    surface = fit.heightfield
-    data = data.astype(surface.heights.dtype)
-    brdf = DiffractionBRDF(surface, data.coherence, blur=data.blur)
-    wave = -np.asarray(data.wi + data.wo, np.float64)
-    lam = np.asarray(data.wavelengths, np.float64)
-    made, _ = freeform_problem.problem(
-        data,
-        surface,
-        brdf,
-        freeform_problem.forward_settings(brdf.surface, wave, lam, 1e-6),
-        inverse=np.ones(data.values.shape),
-        root=np.ones((surface.shape[0], surface.shape[1] // 2 + 1)),
-        prior="smooth",
-        gain="known",
-    )
-    residual, _ = made.residuals(surface.heights)
-    return fit.gain * np.asarray(residual + data.values)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from diffopt import checks
 from diffopt.drawing import pictures
 from diffopt.drawing.surface_fits import distribution
 
@@ -148,18 +149,13 @@ def _shade(name: str, place: float) -> object:
     return _SHADES.get(name, colormaps["turbo"](0.08 + 0.84 * place))
 
 
-def _in_plane(wave: np.ndarray) -> bool:
-    size = np.linalg.svd(wave, compute_uv=False)
-    return len(size) < 2 or bool(size[1] < 1e-3 * max(float(size[0]), 1e-12))
-
-
 def _places(
     wave: np.ndarray, wavelengths: np.ndarray, grey: bool
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, str, bool]]:
     """Coordinates of the values as dots, names of the axes, and whether their scale is one."""
     if grey:
         return wave[:, 0], wave[:, 1], ("u", "v", True)
-    if _in_plane(wave):
+    if checks.in_plane(wave):
         _, _, turned = np.linalg.svd(wave, full_matrices=False)
         along = wave @ turned[0] * (1.0 if turned[0][np.argmax(np.abs(turned[0]))] > 0 else -1.0)
         x, y = np.broadcast_arrays(along[:, None], 1000.0 * wavelengths[None])
@@ -208,7 +204,7 @@ def _cut(
     order = np.flatnonzero(near)[np.argsort((wave @ direction)[near])]
     along = (wave @ direction)[order]
     chosen = np.unique(np.linspace(0, len(names) - 1, min(COLOURS, len(names))).round().astype(int))
-    plane = _in_plane(wave)
+    plane = checks.in_plane(wave)
     for k in chosen:
         shade = _shade(names[k], k / max(len(names) - 1, 1))
         error = None if noise is None else noise[order, k]

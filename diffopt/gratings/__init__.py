@@ -18,13 +18,13 @@ Parameters are array leaves, so that fits can act on them.
 """
 
 from diffopt.gratings.base import Components as Components
-from diffopt.gratings.base import Parametric as Parametric
 from diffopt.gratings.base import Reach as Reach
 from diffopt.gratings.base import Surface as Surface
 from diffopt.gratings.crossed import Crossed as Crossed
 from diffopt.gratings.disc import CompactDisc as CompactDisc
 from diffopt.gratings.disorder import Jittered as Jittered
 from diffopt.gratings.disorder import Ridges as Ridges
+from diffopt.gratings.parametric import Parametric as Parametric
 from diffopt.gratings.profiles import Binary as Binary
 from diffopt.gratings.profiles import Blazed as Blazed
 from diffopt.gratings.profiles import Grating as Grating

@@ -15,12 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from diffopt.errors import InputError
-from diffopt.gratings.parametric import KINDS as KINDS
-from diffopt.gratings.parametric import UNSEEN as UNSEEN
-from diffopt.gratings.parametric import Parametric as Parametric
-from diffopt.gratings.parametric import kinds as kinds
-from diffopt.gratings.parametric import parts
-from diffopt.gratings.parametric import seen_in_power as seen_in_power
+from diffopt.gratings.parametric import Parametric, parts
 from diffopt.heightfield import Heightfield, Number, Provenance
 from diffopt.io.record import pair
 

@@ -3,6 +3,7 @@
 import json
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -77,15 +78,21 @@ def write_npz(
 ) -> None:
     """Write heights (micrometres, dtype kept), pixel and history to a ``.npz`` file."""
     with replacing(path) as file:
-        np.savez_compressed(
-            file,
-            format=np.array(FORMAT),
-            version=np.array(VERSION),
-            unit=np.array("um"),
-            pixel=np.asarray(pixel, dtype=np.float64),
-            steps=np.array(json.dumps(steps)),
-            heights=heights,
-        )
+        np.savez_compressed(file, **entries(heights, pixel, steps))
+
+
+def entries(
+    heights: np.ndarray, pixel: tuple[float, float], steps: tuple[str, ...]
+) -> dict[str, Any]:
+    """Entries of a ``.npz`` file that are read as heights; others may stand beside them."""
+    return {
+        "format": np.array(FORMAT),
+        "version": np.array(VERSION),
+        "unit": np.array("um"),
+        "pixel": np.asarray(pixel, dtype=np.float64),
+        "steps": np.array(json.dumps(steps)),
+        "heights": heights,
+    }
 
 
 def _own(path: Path, content: dict[str, np.ndarray], options: Options) -> Record:

@@ -6,7 +6,6 @@ their energy holds at every wavelength; colours come last, spectral -> XYZ -> li
 """
 
 import dataclasses
-import difflib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from diffopt import colour, fresnel
+from diffopt import checks, colour, fresnel
 from diffopt.errors import InputError
 from diffopt.materials.base import Material
 from diffopt.materials.combined import Sum
@@ -224,8 +223,8 @@ def load(path: str | Path) -> Subject:
 
 def unknown(name: str) -> str:
     """What to say about a name that is none, with the nearest one and all of them."""
-    near = difflib.get_close_matches(name, NAMES, 1)
-    hint = f" (did you mean {near[0]}?)" if near else ""
+    near = checks.nearest(name, NAMES)
+    hint = f" (did you mean {near}?)" if near else ""
     return (
         f"{name!r} is no material{hint}: expected {', '.join(NAMES)}, or a file "
         f"({', '.join(SUFFIXES)})"

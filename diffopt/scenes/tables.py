@@ -2,7 +2,6 @@
 
 import contextlib
 import dataclasses
-import difflib
 import math
 import re
 import tomllib
@@ -10,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from diffopt import checks
 from diffopt.errors import InputError
 from diffopt.scenes.toml_lines import Where, line_numbers
 
@@ -267,5 +267,5 @@ def shown(value: Any) -> str:
 
 def near(word: Any, options: Sequence[str]) -> str:
     """A hint at the nearest of some words; empty if none is near."""
-    found = difflib.get_close_matches(str(word), options, 1)
-    return f" (did you mean {found[0]}?)" if found else ""
+    found = checks.nearest(word, options)
+    return f" (did you mean {found}?)" if found else ""

@@ -87,6 +87,11 @@ class Problem(eqx.Module):
             gain = (model * values).sum() / (model * model).sum()
         return gain * model - values, gain
 
+    @eqx.filter_jit
+    def fitted(self, heights: Float[Array, "ny nx"]) -> Float[Array, "M C"]:
+        """A f, as the values."""
+        return self.residuals(heights)[0] / self.inverse + self.values
+
     def misfit(self, y: Float[Array, "ny nx"]) -> tuple[Array, Array]:
         """Sum of squared residuals in the default dtype, and the gain."""
         residual, gain = self.residuals(self.heights(y))

@@ -38,6 +38,8 @@ class HeightsFit(eqx.Module):
         Whether the minimum was reached, and a sentence.
     history
         Loss at the start and after each block of steps; it jumps where the weight changes.
+    values
+        Fitted values, [M, C], as those of the data.
     error_map
         Standard deviation of each height, micrometres, or None, see `fit_heights`.
     """
@@ -51,6 +53,7 @@ class HeightsFit(eqx.Module):
     converged: bool
     reason: str
     history: tuple[float, ...]
+    values: Float[Array, "M C"]
     error_map: Float[Array, "ny nx"] | None
 
     def __str__(self) -> str:
@@ -100,5 +103,6 @@ def result(
         converged=run.converged,
         reason=run.reason,
         history=tuple(run.history),
+        values=run.made.fitted(heights),
         error_map=spread,
     )

@@ -12,8 +12,8 @@ from diffopt.fitting.freeform.priors import Prior
 from diffopt.fitting.freeform.problem import Problem, Settings
 from diffopt.fitting.freeform.steps import Solver, advance, begin, mean_curvature, prepare
 
-# Trial steps in one call of the compiled program.
-_BLOCK = 10
+#: Trial steps in one call of the compiled program.
+BLOCK = 10
 # A weight that is looked for falls by this factor, at most this many times.
 _FALL, _FALLS = 4.0, 14
 # Chi^2 per value beyond which a minimum is none of data whose noise is known.
@@ -115,7 +115,7 @@ class Stages:
             self.history.append(best)
         arrays = begin(made, y, name=self.name)
         while self.steps < self.max_steps:
-            steps = min(_BLOCK, self.max_steps - self.steps)
+            steps = min(BLOCK, self.max_steps - self.steps)
             count_steps = jnp.asarray(steps)
             y, arrays, change, seen = advance(made, y, arrays, count_steps, name=self.name)
             loss, chi2, gain, gradient, span = (float(v) for v in seen)

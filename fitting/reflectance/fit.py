@@ -18,12 +18,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from diffopt import checks
 from diffopt.diffraction import Shadowing
 from diffopt.errors import InputError
 from diffopt.fitting.measured import Measured
 from diffopt.fitting.reflectance import forward
 from diffopt.fitting.reflectance.answers import ReflectanceFit
-from diffopt.fitting.reflectance.maps import default_bounds
+from diffopt.fitting.reflectance.maps import bounds_for
 from diffopt.fitting.reflectance.run import SOME_ROWS, Progress, Run
 from diffopt.fitting.reflectance.settings import FitSettings
 from diffopt.fitting.reflectance.templates import lattice, templates
@@ -89,14 +90,7 @@ def fit_reflectance(
     check_size(measured, names)
     job = forward.job(measured.astype(like.dtype), fresnel, shadowing)
     frequency, kappa = forward.largest(job)
-    box = default_bounds(
-        like,
-        names,
-        frequency=frequency,
-        coherence=float(measured.coherence),
-        wavelengths=(float(measured.wavelengths.min()), float(measured.wavelengths.max())),
-        given=bounds,
-    )
+    box = bounds_for(like, names, measured, frequency, bounds)
     run = Run(measured, job, like, box, settings, frequency, kappa, progress)
     interrupted = left_out = None
     try:
@@ -127,18 +121,13 @@ def _free(
         if not names or not set(names) <= set(seen):
             raise InputError(f"free must be some of {', '.join(seen)}; received {names}")
         return names, held
+    wave = np.asarray(measured.wi + measured.wo, np.float64)[:, :2]
     for _, angle in lattice(like):
-        if _in_plane(measured):
+        if checks.in_plane(wave):
             held[angle] = f"{angle} was held: all directions of the data lie in one plane"
     if isinstance(like, CompactDisc):
         held |= {n: f"{n} was held: pass free= to fit it" for n in ("bit", "wall")}
     return tuple(name for name in seen if name not in held), held
-
-
-def _in_plane(measured: Measured) -> bool:
-    wave = np.asarray(measured.wi + measured.wo, np.float64)[:, :2]
-    _, size, _ = np.linalg.svd(wave, full_matrices=False)
-    return len(size) < 2 or bool(size[1] < 1e-3 * max(size[0], 1e-12))
 
 
 def check_size(measured: Measured, names: Sequence[str]) -> None:

@@ -52,6 +52,11 @@ class Job(eqx.Module):
         return 1 if self.free_gain else 0
 
 
+def norm(measured: Measured) -> Float[Array, ""]:
+    """Of the values over the noise."""
+    return jnp.linalg.norm(measured.values / measured.noise)
+
+
 @eqx.filter_jit
 def job(
     measured: Measured, fresnel: Reflectance | None = None, shadowing: Shadowing = "none"
@@ -93,7 +98,7 @@ def job(
         sigma_f,
         jnp.sqrt(sigma_f**2 + 2.0 * (measured.blur / lam) ** 2),
         measured.values,
-        1.0 / (measured.noise * jnp.linalg.norm(measured.values / measured.noise)),
+        1.0 / (measured.noise * norm(measured)),
         measured.weights,
         measured.gain == "free",
     )
@@ -149,8 +154,8 @@ def evenly(job: Job) -> Job:
 
 def _picked(job: Job, pick: Callable[[Array], Array]) -> Job:
     picked = {name: pick(getattr(job, name)) for name in _PER_VALUE}
-    norm = jnp.linalg.norm(picked["values"] * picked["scale"])
-    picked["scale"] = picked["scale"] / jnp.where(norm > 0, norm, 1.0)
+    size = jnp.linalg.norm(picked["values"] * picked["scale"])
+    picked["scale"] = picked["scale"] / jnp.where(size > 0, size, 1.0)
     return eqx.tree_at(
         lambda j: [getattr(j, name) for name in _PER_VALUE], job, list(picked.values())
     )

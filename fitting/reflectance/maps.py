@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffopt.errors import InputError
+from diffopt.fitting.measured import Measured
 from diffopt.gratings import Surface
 from diffopt.gratings.parametric import kinds
 
@@ -164,6 +165,24 @@ def default_bounds(
         shapes.append(shape)
     dtype = surface.dtype
     return Bounds(names, jnp.asarray(low, dtype), jnp.asarray(high, dtype), tuple(shapes))
+
+
+def bounds_for(
+    surface: Surface,
+    names: tuple[str, ...],
+    measured: Measured,
+    frequency: float,
+    given: Mapping[str, Any] | None = None,
+) -> Bounds:
+    """`default_bounds` from data and their largest frequency."""
+    return default_bounds(
+        surface,
+        names,
+        frequency=frequency,
+        coherence=float(measured.coherence),
+        wavelengths=(float(measured.wavelengths.min()), float(measured.wavelengths.max())),
+        given=given,
+    )
 
 
 def _pair(name: str, value: Any, shape: str) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from diffopt.errors import InputError
 from diffopt.fitting.measured import Measured
 from diffopt.fitting.reflectance import forward, solving
 from diffopt.fitting.reflectance.answers import ReflectanceFit
-from diffopt.fitting.reflectance.maps import default_bounds
+from diffopt.fitting.reflectance.maps import bounds_for
 from diffopt.fitting.reflectance.settings import FitSettings
 from diffopt.fresnel import Reflectance
 from diffopt.gratings.parametric import kinds
@@ -101,13 +101,7 @@ def profile(
     job = forward.job(measured.astype(fit.model.dtype), fresnel, shadowing)
     frequency, _ = forward.largest(job)
     names = tuple(other for other in fit.names if other != name)
-    box = default_bounds(
-        fit.model,
-        names,
-        frequency=frequency,
-        coherence=float(measured.coherence),
-        wavelengths=(float(measured.wavelengths.min()), float(measured.wavelengths.max())),
-    )
+    box = bounds_for(fit.model, names, measured, frequency)
     sets = [{n: float(fit.model.get(n)) for n in names}]
     sets += [{n: one.parameters[n] for n in names} for one in fit.minima if len(fit.minima) > 1]
     # Every value from every minimum: [N S, P].
@@ -115,7 +109,6 @@ def profile(
     y = jnp.asarray(np.tile(start, (len(held), 1)), jnp.result_type(float))
     each = jnp.asarray(np.repeat(held, len(sets)), fit.model.dtype)
     like = jax.vmap(lambda value: fit.model.replaced({name: value}))(each)
-    eps = float(jnp.finfo(fit.model.dtype).eps)
     found = solving.solve(
         job,
         like,
@@ -123,17 +116,14 @@ def profile(
         y,
         None,
         reach=fit.reach,
-        solver=settings.solver,
-        tolerance=settings.tolerance or eps**0.5,
-        max_steps=settings.max_steps,
-        flat=1e-3 / job.values.size,
+        **settings.last(job.values),
     )
     loss = np.nan_to_num(np.asarray(found.loss, np.float64), nan=np.inf).reshape(len(held), -1)
     best = loss.argmin(1)
     ends = np.asarray(jax.vmap(box.values)(found.y), np.float64).reshape(len(held), -1, len(names))
     ends = ends[np.arange(len(held)), best]
     loss = loss[np.arange(len(held)), best]
-    norm = float(jnp.linalg.norm(measured.values / measured.noise))
+    norm = float(forward.norm(measured))
     return Profile(
         name,
         held,

@@ -10,19 +10,8 @@ from diffopt.fitting.measured import Measured
 from diffopt.fitting.ranked import Ranked
 from diffopt.fitting.reflectance.answers import ReflectanceFit
 from diffopt.fitting.reflectance.fit import Progress, fit_reflectance, rows_misfit
+from diffopt.fitting.reflectance.templates import AUTO
 
-#: What ``"auto"`` compares, simple ones first.
-AUTO = (
-    "sinusoidal",
-    "binary",
-    "blazed",
-    "trapezoid",
-    "crossed",
-    "ridges",
-    "compactdisc",
-    "roughness",
-    "bumps",
-)
 # A difference of the criterion that counts as strong evidence (Kass and Raftery 1995). A needless
 # parameter costs log n, some 8.
 _STRONG = 6.0

@@ -5,6 +5,7 @@
 
 import dataclasses
 import math
+import operator
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -30,8 +31,6 @@ _MOST_VALUES = 1536
 _COARSE, _FEW_TERMS, _FAINT = 1e-3, 12, 1e-3
 #: Stage of a fit from the data alone, by which models are compared before they are finished.
 SOME_ROWS = "least squares on some rows"
-# Fall of chi-squared, where noise alone makes it 1 a value, that is not worth a step.
-_CRAWL = 1e-3
 
 
 @dataclasses.dataclass
@@ -108,15 +107,7 @@ class Run:
         self, job: forward.Job, like: Surface, y: np.ndarray, reach: Reach, **options: Any
     ) -> _Ended:
         """Solve from starts [S, P] in one program; keep where they ended."""
-        eps = float(jnp.finfo(self.like.dtype).eps)
-        options = {
-            "blurs": None,
-            "solver": self.settings.solver,
-            "tolerance": self.settings.tolerance or eps**0.5,
-            "max_steps": self.settings.max_steps,
-            "flat": _CRAWL / job.values.size,
-            **options,
-        }
+        options = {"blurs": None, **self.settings.last(job.values), **options}
         start = jnp.asarray(y, jnp.result_type(float))
         found = solving.solve(job, like, self.box, start, reach=reach, **options)
         found = jax.block_until_ready(found)
@@ -176,7 +167,7 @@ class Run:
     @property
     def norm(self) -> float:
         """Of the values over the noise."""
-        return float(jnp.linalg.norm(self.measured.values / self.measured.noise))
+        return float(forward.norm(self.measured))
 
     def _once(self, settings: FitSettings, give_up: float | None) -> bool:
         self.tell("lattices", 0.0)
@@ -195,12 +186,12 @@ class Run:
         self.tell("comparison of starts", 0.2)
         y = self.box.unbounded(values)
         wide = jnp.asarray(y, jnp.result_type(float))
-        loss = solving.losses(job, _copies(self.like, len(y)), self.box, wide, reach=coarse)
+        loss = solving.losses(job, solving.copies(self.like, len(y)), self.box, wide, reach=coarse)
         chosen = start_design.diverse(np.asarray(loss), count, groups)
         self.tell(SOME_ROWS, 0.4)
         ended = self.solve(
             job,
-            _copies(self.like, len(chosen)),
+            solving.copies(self.like, len(chosen)),
             y[chosen],
             coarse,
             tolerance=_COARSE,
@@ -215,7 +206,7 @@ class Run:
         y = ended.y[order]
         ends = np.stack([np.asarray(self.box.values(jnp.asarray(row))) for row in y])
         reach = self.reach(1.1 * self.longest(ends))
-        self.solve(self.job, _copies(self.like, len(order)), y, reach)
+        self.solve(self.job, solving.copies(self.like, len(order)), y, reach)
         self.minima = minima
         return True
 
@@ -283,18 +274,9 @@ def conventional(surface: Surface) -> Surface:
     """
     values = {}
     for period, angle in lattice(surface):
-        owner = surface
-        for part in period.split(".")[:-1]:
-            owner = getattr(owner, part)
-        turn = (
-            math.pi
-            if getattr(owner, "symmetric", "Blazed" not in str(type(owner)))
-            else 2.0 * math.pi
-        )
+        head = period.rpartition(".")[0]
+        owner = operator.attrgetter(head)(surface) if head else surface
+        turn = math.pi if owner.symmetric else 2.0 * math.pi
         at = surface.get(angle)
         values[angle] = at - turn * jnp.ceil(at / turn - 0.5)
     return surface.replaced(values) if values else surface
-
-
-def _copies(surface: Surface, count: int) -> Surface:
-    return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *leaf.shape)), surface)

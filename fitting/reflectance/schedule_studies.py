@@ -140,23 +140,17 @@ def _fit(schedule: Schedule, p: Problem) -> Any:
 
     exact = schedule.rows is None and schedule.wavelengths is None
     reach = _EXACT if exact else _FEW
-    eps = float(jnp.finfo(p.like.dtype).eps)
-    finish = {"tolerance": eps**0.5, "max_steps": 64, "flat": 1e-3 / (p.some.shape[1] * len(LAM))}
-    coarse = {"tolerance": 1e-3, "max_steps": 24, "flat": 1e-3}
-
-    def copies(count: int) -> Surface:
-        return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *leaf.shape)), p.like)
+    finish = FitSettings().last(p.jobs.values[0])
+    coarse = finish | {"tolerance": 1e-3, "max_steps": 24, "flat": 1e-3}
 
     def solve(job: forward.Job, y: Array, reach: Reach, options: dict[str, Any]) -> Any:
-        solver = "normal-lm"
-        return solving.solve(
-            job, copies(len(y)), p.box, y, None, reach=reach, solver=solver, **options
-        )
+        like = solving.copies(p.like, len(y))
+        return solving.solve(job, like, p.box, y, None, reach=reach, **options)
 
     def one(part: tuple[forward.Job, Array, Array]) -> Array:
         job, y, rows = part
         first = few(job, rows)
-        loss = solving.losses(first, copies(len(y)), p.box, y, reach=reach)
+        loss = solving.losses(first, solving.copies(p.like, len(y)), p.box, y, reach=reach)
         y = y[jnp.argsort(loss)[: schedule.starts]]
         found = solve(first, y, reach, finish if exact or not schedule.finish else coarse)
         y, loss = found.y, found.loss

@@ -1,10 +1,17 @@
 """How a parametric surface is fitted to reflectance."""
 
 import dataclasses
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array
 
 from diffopt import checks
 from diffopt.errors import InputError
 from diffopt.fitting.reflectance import solving
+
+# Fall of chi-squared, where noise alone makes it 1 a value, that is not worth a step.
+_CRAWL = 1e-3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,6 +71,15 @@ class FitSettings:
         """With three times the points of the design and of the starts, and no retry."""
         more = {"design": 3 * self.design, "starts": 3 * self.starts}
         return dataclasses.replace(self, retries=0, **more)
+
+    def last(self, values: Array) -> dict[str, Any]:
+        """Options of `diffopt.fitting.reflectance.solving.solve` for a last solve on values."""
+        return {
+            "solver": self.solver,
+            "tolerance": self.tolerance or float(jnp.finfo(values.dtype).eps) ** 0.5,
+            "max_steps": self.max_steps,
+            "flat": _CRAWL / values.size,
+        }
 
     def __post_init__(self) -> None:
         checks.choice("solver", self.solver, solving.SOLVERS)

@@ -43,6 +43,11 @@ class Solved(eqx.Module):
     curves: Float[Array, "S K N"]
 
 
+def copies(surface: Surface, count: int) -> Surface:
+    """The same surface for each of so many starts."""
+    return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *leaf.shape)), surface)
+
+
 @eqx.filter_jit
 def solve(
     job: forward.Job,

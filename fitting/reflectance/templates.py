@@ -11,18 +11,21 @@ from diffopt.gratings.parametric import kinds
 #: Surfaces by the names that a user passes; the numbers are no starts, a search sets them.
 NAMED: dict[str, Callable[[], Surface]] = {
     "sinusoidal": lambda: gratings.Sinusoidal(1.0, 0.1),
-    "blazed": lambda: gratings.Blazed(1.0, 0.1),
     "binary": lambda: gratings.Binary(1.0, 0.1, 0.4),
+    "blazed": lambda: gratings.Blazed(1.0, 0.1),
     "trapezoid": lambda: gratings.Trapezoid(1.0, 0.1, 0.4, 0.3),
     "crossed": lambda: gratings.Crossed(
         gratings.Sinusoidal(1.0, 0.1), gratings.Sinusoidal(1.0, 0.1, 0.0, 1.5)
     ),
     "jittered": lambda: gratings.Jittered(gratings.Sinusoidal(1.0, 0.1), 0.02, 0.02),
     "ridges": lambda: gratings.Ridges(gratings.Sinusoidal(1.0, 0.1), 0.05, 1.0),
+    "compactdisc": lambda: gratings.CompactDisc(),
     "roughness": lambda: gratings.Roughness(0.05, 1.0),
     "bumps": lambda: gratings.Bumps(0.1, 0.3, 0.5),
-    "compactdisc": lambda: gratings.CompactDisc(),
 }
+#: What ``"auto"`` compares, simple ones first. A jittered grating must be asked for by name: one
+#: scan shows one domain of it.
+AUTO = tuple(name for name in NAMED if name != "jittered")
 
 
 def templates(model: Any) -> list[Surface]:

@@ -34,16 +34,12 @@ from diffopt.gratings import (
     Surface,
 )
 
-# One scan says nothing about these.
-_NOT_OF_ONE_SCAN = ("jittered",)
 _KINDS = {
     kind.__name__.lower(): kind
     for kind in vars(gratings).values()
     if isinstance(kind, type) and issubclass(kind, Surface)
 }
-MODELS: dict[str, type[Surface]] = {
-    name: _KINDS[name] for name in templates.NAMED if name not in _NOT_OF_ONE_SCAN
-}
+MODELS: dict[str, type[Surface]] = {name: _KINDS[name] for name in templates.AUTO}
 # A second start is tried if it explains this share of what the first does.
 _RIVAL = 0.7
 

@@ -144,7 +144,7 @@ def test_residuals_have_the_gradient_of_differences(rng):
         gratings.Roughness(0.03, 0.6),
     )
     job = forward.job(simulated(Binary(1.9, 0.21, 0.3, 0.0, -0.9), rng, wo=WO[::20]))
-    names = gratings.base.seen_in_power(surface)
+    names = gratings.parametric.seen_in_power(surface)
     probe = jnp.asarray(rng.normal(size=job.values.size))
 
     def loss(values):
