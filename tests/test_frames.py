@@ -141,7 +141,7 @@ def test_a_float64_model_gives_the_same_pixels(view, sphere):
         assert wide.surface.heights.dtype == jnp.float64
         table = views.bake(wide, frames.reach(view, LIGHTS, turning=True), size=64)
         frame = Frames(wide, table, view)
-        assert frame.normal.dtype == jnp.float32
+        assert frame.seen.normal.dtype == jnp.float32
         pixels = np.asarray(frame(LIGHTS[0], exposure=exposure))
     # The table's float32 rounds codes the other way; on the steep foot of the sRGB curve, 3300
     # codes per unit, it makes several.

@@ -10,6 +10,6 @@
 `reflectance_fits`  measured and fitted reflectance, and residuals
 `tones`             gamut, exposure and tone curve for a display
 `pictures`          figures and files
-`frames`            pictures at interactive rates, for moving lights
+`frames`            pictures at interactive rates, for moving lights (`developing`: its program)
 ==================  ============================================================
 """

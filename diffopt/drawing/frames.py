@@ -2,7 +2,7 @@
 
 The look is that of `diffopt.drawing.pictures.photograph` without supersampling. What does not
 depend on the light is computed once, in float32, and only for the samples that show the
-material; they are stored axis by axis, so that the compiled loops run along the samples.
+material.
 
 >>> frame = Frames(brdf, table, view)
 >>> exposure = frame.exposure(light)
@@ -21,12 +21,8 @@ from jaxtyping import Array, Bool, Float, Int, UInt8
 from diffopt import colour, lookup
 from diffopt.checks import Values
 from diffopt.diffraction import DiffractionBRDF
-from diffopt.drawing import pictures, shapes, tones, views
+from diffopt.drawing import developing, pictures, shapes, tones, views
 from diffopt.errors import InputError
-from diffopt.kernels import spectrum
-
-# The brightest value that the tone curve tells from white, see `diffopt.drawing.tones.tone`.
-_WHITE = 6.0
 
 
 class Frames(eqx.Module):
@@ -36,34 +32,21 @@ class Frames(eqx.Module):
     ----------
     table
         Colours over the wave vectors of all lights.
-    tangent, across, normal
-        Axes of the material at the n samples that show it, [3, n].
-    position
-        Their places, [3, n].
-    eye
-        Directions to the camera in the material's frame, [3, n]; below the horizon where the
-        view is too grazing to be shown.
+    seen
+        The n samples that show the material.
     pixel
         Numbers of their pixels, row after row, [n].
     ground
         The picture without the material, [h, w, 3].
-    to_rgb, luminance
-        From XYZ to linear sRGB, [3, 3], and from that to its luminance, [3].
-    surroundings
-        XYZ that uniform surroundings add at exposure 1, [3].
+    film
+        From XYZ to the display.
     """
 
     table: lookup.Table
-    tangent: Float[Array, "3 n"]
-    across: Float[Array, "3 n"]
-    normal: Float[Array, "3 n"]
-    position: Float[Array, "3 n"]
-    eye: Float[Array, "3 n"]
+    seen: developing.Samples
     pixel: Int[Array, " n"]
     ground: UInt8[Array, "h w 3"]
-    to_rgb: Float[Array, "3 3"]
-    luminance: Float[Array, "3"]
-    surroundings: Float[Array, "3"]
+    film: developing.Film
 
     def __init__(
         self,
@@ -98,21 +81,17 @@ class Frames(eqx.Module):
 
         eye = view.local(view.eye)
         shown = eye[..., 2:] > math.cos(views.GRAZING)
-        wavelengths = colour.wavelengths(tones.STEP_NM)
-        matrix = colour.xyz_to_rgb_matrix(illuminant, wavelengths_um=wavelengths)
-        day = colour.white_point("D65", wavelengths)
-        white = colour.white_point(illuminant, wavelengths)
-        ambient = pictures.SURROUNDINGS * white * views.normal_colour(brdf, illuminant)
         self.table = table
-        self.tangent, self.normal = columns(view.tangent), columns(view.normal)
-        self.across = columns(np.cross(view.normal, view.tangent))
-        self.position = columns(view.position)
-        self.eye = columns(np.where(shown, eye, [0.0, 0.0, -1.0]))
+        self.seen = developing.Samples(
+            columns(view.tangent),
+            columns(np.cross(view.normal, view.tangent)),
+            columns(view.normal),
+            columns(view.position),
+            columns(np.where(shown, eye, [0.0, 0.0, -1.0])),
+        )
         self.pixel = jnp.asarray(pixel, jnp.int32)
         self.ground = jnp.asarray(_ground(view, illuminant))
-        self.to_rgb = jnp.asarray(matrix, jnp.float32)
-        self.luminance = jnp.asarray(np.linalg.inv(colour.rgb_matrix(day))[1], jnp.float32)
-        self.surroundings = jnp.asarray(ambient, jnp.float32)
+        self.film = developing.film(brdf, illuminant)
 
     def __call__(
         self,
@@ -209,24 +188,9 @@ def reach(
     return np.stack([np.min(ends, axis=0), np.max(ends, axis=0)])
 
 
-# Coordinates are lists of arrays [n] from here on: XLA does not fuse sums and maxima over an
-# axis of three into the loops around them, which then take twice as long.
-Coordinates = list[Array]
-
-
 @eqx.filter_jit
 def _frame(frames, light, turn, near, exposure, lit):
-    xyz = _radiance(frames, light, turn, near, lit)
-    rgb = _display(
-        frames, [c + s / exposure for c, s in zip(xyz, frames.surroundings, strict=True)]
-    )
-    # The curve of `tones.tone`.
-    brightest = jnp.maximum(jnp.maximum(rgb[0], rgb[1]), rgb[2])
-    brightest = jnp.maximum(brightest, jnp.finfo(jnp.float32).tiny)
-    peak = jnp.minimum(exposure * brightest, _WHITE)
-    factor = peak * (1.0 + peak / _WHITE**2) / ((1.0 + peak) * brightest)
-    linear = (jnp.clip(c * factor, 0.0, 1.0) for c in rgb)
-    codes = [jnp.round(255.0 * spectrum.encode_srgb(c)).astype(jnp.uint8) for c in linear]
+    codes = developing.codes(frames.film, _radiance(frames, light, turn, near, lit), exposure)
     flat = frames.ground.reshape(-1, 3).at[frames.pixel]
     picture = flat.set(jnp.stack(codes, -1), unique_indices=True, indices_are_sorted=True)
     return picture.reshape(frames.ground.shape)
@@ -235,47 +199,12 @@ def _frame(frames, light, turn, near, exposure, lit):
 @eqx.filter_jit
 def _linear(frames, light, turn, near, lit):
     xyz = _radiance(frames, light, turn, near, lit)
-    return jnp.stack(_display(frames, xyz), -1), xyz[1] > 0.0
+    return jnp.stack(developing.display(frames.film, xyz), -1), xyz[1] > 0.0
 
 
-def _radiance(frames: Frames, light: Array, turn: Array, near: Array, lit: Any) -> Coordinates:
-    """XYZ that the light adds to the samples."""
-    towards = [light[k] - near * frames.position[k] for k in range(3)]
-    length = jnp.sqrt(_dot(towards, towards))
-    towards = [c / length for c in towards]
-    axes = (frames.tangent, frames.across, frames.normal)
-    wi = _turned([_dot(list(axis), towards) for axis in axes], turn)
-    wo = _turned(list(frames.eye), turn)
-    dtype = frames.table.coefficients.dtype
-    pairs = (jnp.stack(w, axis=-1).astype(dtype) for w in (wi, wo))
-    xyz = lookup.shade(frames.table, *pairs).astype(jnp.float32)
-    if lit is not None:
-        reached = jnp.asarray(lit).reshape(-1)[frames.pixel]
-        xyz = jnp.where(reached[:, None], xyz, 0.0)
-    # Where a light lies beyond the table it adds nothing.
-    return [jnp.where(jnp.isfinite(xyz[:, k]), xyz[:, k], 0.0) for k in range(3)]
-
-
-def _turned(local: Coordinates, turn: Array) -> Coordinates:
-    x, y, z = local
-    cos, sin = jnp.cos(turn), jnp.sin(turn)
-    return [cos * x - sin * y, cos * y + sin * x, z]
-
-
-def _display(frames: Frames, xyz: Coordinates) -> Coordinates:
-    """Linear sRGB in gamut, as `tones.display` and `diffopt.kernels.spectrum.desaturate`."""
-    rgb = [_dot(list(row), xyz) for row in frames.to_rgb]
-    grey = jnp.maximum(_dot(list(frames.luminance), rgb), 0.0)
-    kept = jnp.ones_like(grey)
-    for c in rgb:
-        outside = c < 0.0
-        kept = jnp.minimum(kept, jnp.where(outside, grey / jnp.where(outside, grey - c, 1.0), 1.0))
-    kept = jnp.where(grey > 0.0, kept, 0.0)
-    return [jnp.maximum(grey + kept * (c - grey), 0.0) for c in rgb]
-
-
-def _dot(a: Coordinates, b: Coordinates) -> Array:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+def _radiance(frames: Frames, light: Array, turn: Array, near: Array, lit: Any) -> list[Array]:
+    reached = None if lit is None else jnp.asarray(lit).reshape(-1)[frames.pixel]
+    return developing.radiance(frames.table, frames.seen, light, turn, near, reached)
 
 
 def _single(value: Values) -> Array:

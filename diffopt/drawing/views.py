@@ -233,11 +233,12 @@ def bake(
     *,
     size: int,
     illuminant: colour.IlluminantLike = "D65",
+    error: float = TABLE_ERROR,
     progress: Progress | None = None,
 ) -> lookup.Table:
     """Colour table over the wave vectors that a picture of `size` pixels needs.
 
-    Its error stays below `TABLE_ERROR` of a mirror's peak. Lines finer than two pixels of
+    Its error stays below `error` of a mirror's peak. Lines finer than two pixels of
     the box are blurred to that (a single coherent window is sampled as it is), as a pixel
     would blur them.
 
@@ -251,6 +252,8 @@ def bake(
         Pixels on a side.
     illuminant
         See `diffopt.colour.spectral_weights`.
+    error
+        Largest difference from the direct sum, relative to a mirror's peak.
     progress
         Called with (parts done, parts in all).
     """
@@ -272,7 +275,7 @@ def bake(
         wider = jnp.asarray(blur, brdf.surface.blur.dtype)
         brdf = eqx.tree_at(lambda b: b.surface.blur, brdf, wider)
     settings = table_bounds.table_settings(
-        brdf.surface, box, lam, lambda error: float(error.max()), TABLE_ERROR, order=3
+        brdf.surface, box, lam, lambda found: float(found.max()), error, order=3
     )
     settings = dataclasses.replace(settings, step=settings.step * coarser)
     return baking.bake(
