@@ -38,6 +38,7 @@
 `illuminants`          illuminants, the observer, weights from spectra to XYZ
 `bands`                three bands in place of the matching functions
 `drawing`              curved surfaces, tones, pictures
+`previews`             what a notebook shows of all these
 `cli`                  the command line
 =====================  ==========================================================
 """

@@ -110,3 +110,8 @@ class BRDFLobes(eqx.Module):
     def __call__(self, wi: Any, wo: Any) -> Float[Array, "..."]:
         """F cos theta_i of pairs of directions of one shape, [..., 3]."""
         return self.at(wo)(wi)
+
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
+        from diffopt.previews import bundles, lobes
+
+        return bundles.bundle(self, lobes.brdf_card)

@@ -94,6 +94,11 @@ class Choice:
             )
         return "\n".join(lines)
 
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
+        from diffopt.previews import bundles, choices
+
+        return bundles.bundle(self, choices.card)
+
 
 class PreparedBRDF(eqx.Module):
     """A diffraction BRDF with its method chosen; made by `DiffractionBRDF.prepare`."""
@@ -195,6 +200,11 @@ class PreparedBRDF(eqx.Module):
                 "sha256": hashlib.sha256(heights.tobytes()).hexdigest(),
             },
         }
+
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
+        from diffopt.previews import bundles, choices
+
+        return bundles.bundle(self, choices.prepared_card)
 
 
 def sample_pairs(count: int, largest_angle: float = 75.0) -> tuple[np.ndarray, np.ndarray]:

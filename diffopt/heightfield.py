@@ -397,3 +397,8 @@ class Heightfield(eqx.Module):
             provenance=self.provenance.then(step),
             missing="keep",
         )
+
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
+        from diffopt.previews import bundles, heights
+
+        return bundles.bundle(self, heights.card)

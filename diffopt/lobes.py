@@ -227,3 +227,8 @@ class Lobes(eqx.Module):
             theta = np.degrees(np.arctan2(np.hypot(x, y), z))
             rows.append(f"{a:8.4g} {k:12.5g} {theta:10.2f} {np.degrees(np.arctan2(y, x)):8.2f}")
         return "\n".join(rows)
+
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
+        from diffopt.previews import bundles, lobes
+
+        return bundles.bundle(self, lobes.card)

@@ -15,6 +15,7 @@ Inverse problems solved with optimistix.
 `brdf`              whole BRDFs, with lobes that belong together
 `comparison`        EM, least squares and `rivals` on the same slices; `lobe_table`: rows
 `lobe_studies`      what accuracy costs for fits of lobes; `sample_studies`: for samples
+`previews`          what a notebook shows of fits
 `solvers`           Levenberg-Marquardt on normal equations, for optimistix
 ==================  ==========================================================
 """

@@ -153,3 +153,9 @@ class LobeComparison:
             with replacing(path) as file:
                 figure.savefig(file, format="png", dpi=120)
         return figure
+
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
+        from diffopt.fitting import previews
+        from diffopt.previews import bundles
+
+        return bundles.bundle(self, previews.comparison_card)

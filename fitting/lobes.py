@@ -83,6 +83,12 @@ class LobeFit(eqx.Module):
             f"{np.abs(self.energy_error).max():.2g} before it was restored; {ended}"
         )
 
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
+        from diffopt.fitting import previews
+        from diffopt.previews import bundles
+
+        return bundles.bundle(self, previews.lobe_card)
+
 
 class Nodes(eqx.Module):
     """A batch of functions, each at the nodes of a quadrature of its own.

@@ -161,6 +161,12 @@ class Measured(eqx.Module):
             lambda m: [m.wi, m.wo, m.values, m.noise], self, [leaf[rows] for leaf in leaves]
         )
 
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
+        from diffopt.fitting import previews
+        from diffopt.previews import bundles
+
+        return bundles.bundle(self, previews.measured_card)
+
 
 def colour_weights(wavelengths: np.ndarray, illuminant: Any, quantity: Quantity, dtype: Any) -> Any:
     """From spectra on these wavelengths to colours, [L, 3]; None for spectra."""

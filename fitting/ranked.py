@@ -1,6 +1,7 @@
 """A row of a ranking of models for the same data."""
 
 import dataclasses
+from typing import Any
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,3 +32,9 @@ class Ranked:
     misfit: float
     converged: bool
     reason: str
+
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
+        from diffopt.fitting import previews
+        from diffopt.previews import bundles
+
+        return bundles.bundle(self, previews.ranked_card)

@@ -198,6 +198,11 @@ class Study:
             progress(len(cases), len(cases), "")
         return StudyResult(self, tuple(rows))
 
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
+        from diffopt.previews import bundles, studies
+
+        return bundles.bundle(self, studies.study_card)
+
 
 def _row(case: Case, programs: dict[Hashable, Any], repeats: int) -> Row:
     job = case.build()
@@ -328,6 +333,11 @@ class StudyResult:
 
     def _conditions(self, row: Row) -> tuple:
         return tuple(row.settings.get(name) for name in self.study.conditions)
+
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
+        from diffopt.previews import bundles, studies
+
+        return bundles.bundle(self, studies.card)
 
 
 def study(name: str) -> Study:

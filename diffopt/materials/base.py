@@ -223,6 +223,11 @@ class Material(eqx.Module):
         above, wi, wo = frames.above_horizon(wi, wo)
         return mask(above, self.value(wi, wo))
 
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
+        from diffopt.previews import bundles, materials
+
+        return bundles.bundle(self, materials.card)
+
 
 def directions(*arrays: Any) -> tuple[Array, ...]:
     """Arrays of directions of one floating type and one shape."""

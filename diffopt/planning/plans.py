@@ -129,6 +129,11 @@ class Plan:
             "effects": [dataclasses.asdict(row) for row in self.rows],
         }
 
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
+        from diffopt.previews import bundles, plans
+
+        return bundles.bundle(self, plans.card)
+
 
 def _duration(seconds: float) -> str:
     if seconds < 0.1:

@@ -65,8 +65,11 @@ def _parts(choice: Choice) -> list[markup.Markup]:
 def _settings(settings: Settings | None) -> str:
     if settings is None:
         return ""
-    fields = dataclasses.fields(settings)
-    return ", ".join(f"{field.name} {getattr(settings, field.name)}" for field in fields)
+    values = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings)}
+    return ", ".join(
+        f"{name} {markup.number(value) if isinstance(value, float) else value}"
+        for name, value in values.items()
+    )
 
 
 def _error(bound: float) -> str:

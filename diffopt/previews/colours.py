@@ -37,7 +37,7 @@ class Swatches:
     @property
     def outside(self) -> np.ndarray:
         """Which colours a display cannot show, [N]."""
-        return ((self.linear < -MARGIN) | (self.linear > 1.0 + MARGIN)).any(-1)
+        return np.any((self.linear < -MARGIN) | (self.linear > 1.0 + MARGIN), axis=-1)
 
     @property
     def codes(self) -> tuple[str, ...]:

@@ -147,7 +147,9 @@ def _notes(heights: np.ndarray, known: np.ndarray) -> list[str]:
         out.append(markup.note(missing))
     step = _step(heights.shape)
     if step > 1:
-        text = f"The map is drawn as means over {step} × {step} pixels; finer structure is not seen."
+        text = (
+            f"The map is drawn as means over {step} × {step} pixels; finer structure is not seen."
+        )
         if heights.shape[1] > PROFILE:
             text += f" The profile shows the middle {PROFILE} pixels as they are."
         out.append(markup.note(text))

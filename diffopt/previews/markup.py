@@ -92,7 +92,7 @@ def key_figures(pairs: Iterable[tuple[Any, Any]]) -> Markup:
     rows = "".join(
         f'<tr style="background:transparent"><th scope="row" style="{_cell()}font-weight:normal;'
         f'opacity:0.75;white-space:nowrap">{escape(name)}</th>'
-        f'<td style="{_cell()}">{escape(value)}</td></tr>'
+        f'<td style="{_cell()}max-width:50ch">{escape(value)}</td></tr>'
         for name, value in pairs
     )
     return Markup(f'<table style="{_TABLE}"><tbody>{rows}</tbody></table>')
@@ -136,7 +136,8 @@ def table(
         style = "background:transparent;" + "opacity:0.5;" * (k in dimmed)
         style += "font-weight:bold;" * (k in strong)
         line = "".join(
-            f'<td style="{_cell(r)}">{escape(cell)}</td>' for cell, r in zip(row, right, strict=True)
+            f'<td style="{_cell(r)}">{escape(cell)}</td>'
+            for cell, r in zip(row, right, strict=True)
         )
         body.append(f'<tr style="{style}">{line}</tr>')
     return Markup(
@@ -234,7 +235,9 @@ def _numeric(cells: Sequence[Any]) -> bool:
 def _pixels(image: np.ndarray) -> np.ndarray:
     """8-bit grey, RGB or RGBA."""
     if image.ndim not in (2, 3) or 0 in image.shape or image.shape[2:] not in ((), (3,), (4,)):
-        raise InputError(f"picture: expected [h, w], [h, w, 3] or [h, w, 4], received {image.shape}")
+        raise InputError(
+            f"picture: expected [h, w], [h, w, 3] or [h, w, 4], received {image.shape}"
+        )
     if image.dtype == np.uint8:
         return image
     if not np.issubdtype(image.dtype, np.floating):

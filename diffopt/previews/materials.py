@@ -18,7 +18,7 @@ from diffopt.errors import InputError
 from diffopt.materials.base import Material
 from diffopt.materials.diffracting import Diffraction
 from diffopt.materials.naming import Subject
-from diffopt.materials.report import direction
+from diffopt.materials.report import carrying_power, direction
 from diffopt.previews import colours, markup, polar
 from diffopt.previews.bundles import NoCardError
 
@@ -52,17 +52,21 @@ def card(material: Material) -> markup.Markup:
     try:
         subject = Subject(name, material, _wavelengths(material))
     except InputError as reason:
-        return markup.card(name, None, markup.key_figures(pairs), markup.note(f"No picture: {reason}"))
+        return markup.card(
+            name, None, markup.key_figures(pairs), markup.note(f"No picture: {reason}")
+        )
     parts = [markup.key_figures(pairs)]
     with jax.enable_x64(False):
         drawn = _drawn(subject) if material.smooth else None
-        albedo = material.albedo(_ways(np.array(SWATCHES)), NODES)
+        albedo = carrying_power(material).albedo(_ways(np.array(SWATCHES)), NODES)
     xyz = subject.xyz(np.asarray(albedo))
     if not np.isfinite(xyz).all():
         raise NoCardError("its albedo is not finite")
-    labels = [f"albedo at {a:g}°: {_luminance(c)}" for a, c in zip(SWATCHES, xyz, strict=True)]
+    labels = [f"{a:g}°: {_luminance(c)}" for a, c in zip(SWATCHES, xyz, strict=True)]
     parts.append(colours.row(colours.swatches(xyz, labels)))
-    words = "Colours of the albedo under D65, white being a perfect reflector."
+    words = (
+        "Squares: the albedo by the angle of the light, under D65; Y = 1 is a perfect reflector."
+    )
     if material.delta:
         words += " Light in single directions (mirror, refraction) is in the albedo alone."
     return markup.card(name, drawn, *parts, markup.note(words))

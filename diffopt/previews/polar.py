@@ -92,11 +92,10 @@ def plot(
                 values = np.log10(np.maximum(values, 10.0**low)) - low
             elif relative:
                 values = values / (float(values.max()) or 1.0)
-            shade = {"color": curve.colour}
-            label = curve.label or None
-            axes.plot(curve.at, values, curve.style, lw=curve.width, label=label, **shade)
+            shade, label = curve.colour, curve.label or None
+            axes.plot(curve.at, values, curve.style, lw=curve.width, label=label, color=shade)
             if curve.mark is not None:
-                axes.plot([curve.mark] * 2, [0.0, end], ":", lw=1.0, **shade)
+                axes.plot([curve.mark] * 2, [0.0, end], ":", lw=1.0, color=shade)
         _frame(axes, end, low if k else None, whole)
         figure.text((k + 0.5) / 2.0, 1.0 - 0.22 / height, title, ha="center", fontsize=9)
     handles, words = figure.axes[0].get_legend_handles_labels()

@@ -61,9 +61,7 @@ def study_card(study: Study) -> markup.Markup:
         pairs.append(("problems differ in", ", ".join(study.conditions)))
     pairs.append(("drawn against", study.against or "run time"))
     words = "Not run yet: .run() measures every case, .run(quick=True) fewer and smaller ones."
-    return markup.card(
-        f"Study {study.name}", None, markup.key_figures(pairs), markup.note(words)
-    )
+    return markup.card(f"Study {study.name}", None, markup.key_figures(pairs), markup.note(words))
 
 
 def plot(result: StudyResult) -> Any:
@@ -110,7 +108,7 @@ def plot(result: StudyResult) -> Any:
     if said:
         axes.set_title(f"on points: {', '.join(said)}", fontsize=7.5, loc="left")
     axes.grid(alpha=0.3)
-    if 1 < len(problems) <= 12 and any(line.get_label()[0] != "_" for line in axes.lines):
+    if 1 < len(problems) <= 12 and axes.get_legend_handles_labels()[1]:
         axes.legend(fontsize=6.5, frameon=False)
     return figure
 

@@ -177,3 +177,8 @@ class Image:
             "done": float(self.done.mean()),
             "noise": self.noise,
         }
+
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
+        from diffopt.previews import bundles, renders
+
+        return bundles.bundle(self, renders.card)

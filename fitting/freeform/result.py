@@ -1,6 +1,7 @@
 """What a fit of free heights returns."""
 
 import math
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -62,6 +63,12 @@ class HeightsFit(eqx.Module):
             f"{ny} x {nx} heights: relative misfit {self.misfit['relative']:.3g}, chi^2 per value "
             f"{self.misfit['chi2']:.3g}. {self.reason}"
         )
+
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
+        from diffopt.fitting import previews
+        from diffopt.previews import bundles
+
+        return bundles.bundle(self, previews.heights_card)
 
 
 def result(

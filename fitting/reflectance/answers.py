@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -115,6 +116,12 @@ class ReflectanceFit:
         parts = [f"{n} {float(self.model.get(n)):.6g} +- {errors[n]:.2g}" for n in self.names]
         head = f"{type(self.model).__name__}: {', '.join(parts)}; misfit {self.loss:.2e}"
         return f"{head}. {self.reason}"
+
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
+        from diffopt.fitting import previews
+        from diffopt.previews import bundles
+
+        return bundles.bundle(self, previews.reflectance_card)
 
 
 @eqx.filter_jit

@@ -55,6 +55,12 @@ class Profile:
         padded = np.concatenate([[np.inf], self.loss, [np.inf]])
         return self.values[(self.loss < padded[:-2]) & (self.loss < padded[2:])]
 
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
+        from diffopt.fitting import previews
+        from diffopt.previews import bundles
+
+        return bundles.bundle(self, previews.profile_card)
+
 
 def profile(
     measured: Measured,

@@ -89,6 +89,12 @@ class ScanFit(eqx.Module):
         found = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         return dict(zip(self.names, map(float, found), strict=True))
 
+    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
+        from diffopt.fitting import previews
+        from diffopt.previews import bundles
+
+        return bundles.bundle(self, previews.scan_card)
+
 
 def fit_scan(
     scan: Heightfield,
