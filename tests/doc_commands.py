@@ -2,7 +2,6 @@
 
 import re
 import tomllib
-from pathlib import Path
 from typing import Any
 
 from doc_blocks import ROOT
@@ -11,9 +10,42 @@ from doc_blocks import ROOT
 CHEAP = {
     "diffopt diffraction": "--size 32",
     "diffopt demo": "--size 48",
+    "diffopt material": "--size 16",
+    "diffopt fit lobes gold": "--angle 0 --tolerance 0.5",
+    "diffopt fit lobes blinn-phong": "--angle 0,60",
+    "diffopt fit lobes rough-glass": "--angle 30",
+    "diffopt fit lobes sky": "--lobes 4",
+    "diffopt plan": "--size 16x12 --most-spp 4",
+    "diffopt render": "--size 16x12",
+    "diffopt render balls.toml --tolerance": "--size 16x12 --most-spp 4",
+    "diffopt render balls.toml -o balls.png -o balls.exr": "--size 16x12 --spp 2",
+    "diffopt shadow": "--frames 2 --size 16 --picture 32x20 --spp 1",
+    "diffopt precompute": "--tolerance 1 --splits 0 --rays 64 --depth 1 --finest 2",
+    "diffopt relight": "--size 32x24 --samples 1",
+    "diffopt relight teapot.zarr teapot.toml -o out/teapot": "--size 32x24 --samples 1 --spp 2",
+    "diffopt relight teapot.zarr teapot.toml -o out/film": "--size 32x24 --samples 1 --frames 3",
 }
-#: Start of a command line that only has to be understood: why it is not run.
-PARSED: dict[str, str] = {}
+#: Start of a command line that has to be understood but is not run: why.
+PARSED: dict[str, str] = {
+    "diffopt accuracy -o": "every study: many minutes",
+    "diffopt accuracy diffraction.scalar": "rigorous optics: a minute",
+    "diffopt accuracy transfer": "precomputes and path-traces: minutes",
+    "diffopt bench -o": "every benchmark: a minute",
+    "diffopt bench render": "compiles and times renderers: half a minute",
+    "diffopt compare": "runs every method of a topic: minutes",
+    "diffopt fit heightfield measured.npz": "every height: a fit of its own test",
+    "diffopt view": "serves until it is stopped",
+}
+#: Command lines without arguments that stand for everything; parsed as those above.
+WHOLE = ("diffopt accuracy", "diffopt bench", "diffopt demo")
+
+_PROGRAMS = ("make", "pip", "python", "mkdocs")
+_EXTRAS = re.compile(r"\.\[([a-z,]+)\]")
+
+
+def parsed_only(line: str) -> bool:
+    """Whether a command line is not run."""
+    return line in WHOLE or any(line.startswith(start) for start in PARSED)
 
 
 def cheap(words: list[str]) -> list[str]:
@@ -23,18 +55,65 @@ def cheap(words: list[str]) -> list[str]:
     return CHEAP[max(found, key=len)].split() if found else []
 
 
+def application() -> Any:
+    """The table of commands."""
+    import typer
+
+    from diffopt.cli.application import app
+
+    return typer.main.get_command(app)
+
+
 def parse(words: list[str]) -> None:
     """Have the words understood by the command that they name, which is not run.
 
-    Unknown commands and options raise, and so do files that have to exist.
+    Unknown commands and options raise, and so do words too many or too few.
     """
-    import typer
-
-    from diffopt.cli import application
-
-    command: Any = typer.main.get_command(application.app)
-    context = command.make_context("diffopt", list(words), resilient_parsing=False)
+    command = application()
+    context = command.make_context("diffopt", list(words))
     while hasattr(command, "resolve_command"):
-        rest = [*context.protected_args, *context.args]
+        rest = [*getattr(context, "_protected_args", []), *context.args]
         name, command, rest = command.resolve_command(context, rest)
         context = command.make_context(name, rest, parent=context)
+
+
+def names(command: Any = None, above: str = "diffopt") -> set[str]:
+    """Every command, as it is typed."""
+    command = application() if command is None else command
+    if not hasattr(command, "commands"):
+        return {above}
+    parts = (names(part, f"{above} {name}") for name, part in command.commands.items())
+    return set().union(*parts)
+
+
+def extras() -> set[str]:
+    """Extras of the distribution."""
+    content = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    return set(content["project"]["optional-dependencies"])
+
+
+def targets() -> set[str]:
+    """Targets of the Makefile that are named by a word."""
+    text = (ROOT / "Makefile").read_text(encoding="utf-8")
+    return set(re.findall(r"^([a-z][a-z-]*):", text, re.MULTILINE))
+
+
+def check_other(line: str, words: list[str]) -> None:
+    """Check a command line that is not the toolkit's own: targets, extras, files.
+
+    Raises
+    ------
+    AssertionError
+        If it names something that does not exist, or a program that is not known here.
+    """
+    while words and "=" in words[0]:  # variables before a command
+        words = words[1:]
+    program = words[0].rsplit("/", 1)[-1]
+    assert program in _PROGRAMS, f"{line}: no rule for {program}"
+    if program == "make":
+        assert set(words[1:]) <= targets(), f"{line}: targets are {sorted(targets())}"
+    wanted = set(",".join(_EXTRAS.findall(line)).split(",")) - {""}
+    assert wanted <= extras(), f"{line}: extras are {sorted(extras())}"
+    for word in words[1:]:
+        if re.match(r"(tests|docs)(/|$)|.*\.txt$", word):
+            assert (ROOT / word).exists(), f"{line}: no {word}"

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from doc_blocks import ROOT, Block, agrees, blocks, commands, said
-from doc_commands import PARSED, cheap, check_other, parse
+from doc_commands import cheap, check_other, parse, parsed_only
 from doc_inputs import provide
 
 
@@ -57,7 +57,7 @@ def console(block: Block, names: dict[str, Any]) -> None:
         words = shlex.split(line)
         if words[0] != "diffopt":
             check_other(line, words)
-        elif any(line.startswith(start) for start in PARSED):
+        elif parsed_only(line):
             parse(words[1:])
         else:
             start, out = time.perf_counter(), io.StringIO()
