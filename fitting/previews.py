@@ -53,7 +53,7 @@ def lobe_card(fit: LobeFit) -> markup.Markup:
         ("settled", "yes" if settled.all() else f"{int(settled.sum())} of {settled.size}"),
     ]
     if fit.brdf is not None:
-        return lobes.brdf_card(fit.brdf, *pairs)
+        return lobes.brdf_card(fit.brdf, *pairs, name="LobeFit")
     one = fit.lobes
     if one.kappa.ndim == 1:
         picture, *rest = lobes.single(one)
@@ -218,14 +218,15 @@ def measured_card(data: Measured) -> markup.Markup:
     points = axes.scatter(dots[:, 0], dots[:, 1], c=shown, s=size, label="viewers", **style)
     lights = np.unique(wi.round(6), axis=0)
     some = lights[:: max(math.ceil(len(lights) / 200), 1)]
-    axes.plot(some[:, 0], some[:, 1], "*", ms=8, mfc="none", mec="C3", mew=1.0, label="lights")
+    star = {"ms": 9, "mfc": "white", "mec": "C3", "mew": 1.2, "zorder": 4}
+    axes.plot(some[:, 0], some[:, 1], "*", label="lights", **star)
     bar = figure.colorbar(points, ax=axes, shrink=0.85)
     bar.set_label("mean over the channels", fontsize=7)
     bar.ax.tick_params(labelsize=7)
     axes.set(xlim=(-1.05, 1.05), ylim=(-1.05, 1.05), aspect="equal")
     _small(axes, "direction cosine x", "direction cosine y")
     axes.grid(visible=False)
-    axes.legend(fontsize=7, frameon=False, loc="lower left", bbox_to_anchor=(-0.02, -0.02))
+    figure.legend(fontsize=7, frameon=False, loc="outside lower center", ncols=2)
     lam = 1000.0 * np.asarray(data.wavelengths, np.float64)
     noise = np.asarray(data.noise, np.float64) / max(float(np.abs(values).max()), 1e-300)
     said = f"{_spread(noise)} of the largest value" if noise.max() != noise.min() else None
@@ -298,7 +299,7 @@ def _drawn(model: Surface) -> "Figure":
         line = surface_fits._line(found.shape, (pixel, pixel), angle, shift, along)
         shown = surface_fits._at(found, (pixel, pixel), line)
         left.plot(line[1], line[0], color="C3", lw=1.0, ls=":")
-        words = "across the lines / µm, on the dotted line"
+        words = "across the lines / µm (dotted)"
     right.plot(along, 1000.0 * (shown - found.mean()), lw=1.0, color="C3")
     right.set_xlim(float(along[0]), float(along[-1]))
     _small(right, words, "height / nm")
@@ -314,12 +315,12 @@ def _parameters(
         unit = KINDS[kind][0]
         error = errors.get(name)
         if error is None:
-            said = "not fitted"
+            said = "—"
             dimmed.append(k)
         else:
             said = "unknown" if math.isnan(error) else markup.number(error, 2)
         value = markup.number(float(model.get(name)), 6)
-        words = identifiable.get(name, DETERMINED if error is not None else "")
+        words = identifiable.get(name, "not fitted" if error is None else DETERMINED)
         rows.append((name, value, said, _UNITS.get(unit, unit), words))
     columns = ("parameter", "value", "standard error", "unit", "identifiable")
     return markup.table(columns, rows, dimmed=dimmed)
@@ -347,7 +348,7 @@ def _verdict(converged: bool, reason: str) -> list[tuple[str, str]]:
 
 
 def _small(axes: "Axes", xlabel: str, ylabel: str) -> None:
-    axes.tick_params(labelsize=7)
+    axes.tick_params(which="both", labelsize=7)
     axes.set_xlabel(xlabel, fontsize=8)
     axes.set_ylabel(ylabel, fontsize=8)
     axes.grid(alpha=0.3)

@@ -36,6 +36,7 @@ def card(lobes: Lobes) -> markup.Markup:
 def single(lobes: Lobes) -> list[markup.Markup]:
     """Picture, table of the lobes, and a note, for lobes without a batch."""
     azimuth = _azimuth(lobes)
+    plane = f"of azimuth {_whole_degrees(math.degrees(azimuth))}"
     whole = _whole(lobes)
     # The plane is turned into x, z, where the drawing of fits has it.
     at, each = _in_plane(lobes, azimuth)
@@ -46,9 +47,9 @@ def single(lobes: Lobes) -> list[markup.Markup]:
     drawn = order[:DRAWN] if lobes.count > 1 else order[:0]
     curves = [polar.Curve(at, each.sum(0), "0.65" if len(drawn) else "C0", width=3.0)]
     curves += [polar.Curve(at, each[j], f"C{k}", width=1.1) for k, j in enumerate(drawn)]
-    alt = f"Polar plot of {lobes.count} lobes in the plane of azimuth {math.degrees(azimuth):.0f}°"
+    alt = f"Polar plot of {lobes.count} lobes in the plane {plane}"
     figure = polar.plot(curves, _TITLES, whole=whole)
-    words = f"Drawn in the plane through the normal of azimuth {math.degrees(azimuth):.0f}°"
+    words = f"Drawn in the plane through the normal {plane}"
     words += ", towards which angles are positive (left)."
     if len(drawn):
         words += " The wide grey line is the sum."
@@ -57,7 +58,7 @@ def single(lobes: Lobes) -> list[markup.Markup]:
     return [
         markup.picture(figure, alt, most=markup.MOST),
         table(lobes),
-        markup.note(words.replace("-", "−")),
+        markup.note(words),
     ]
 
 
@@ -71,6 +72,7 @@ def table(lobes: Lobes) -> markup.Markup:
     for k, j in enumerate(order[:LISTED]):
         theta = math.degrees(math.atan2(math.hypot(mu[j, 0], mu[j, 1]), mu[j, 2]))
         phi = math.degrees(math.atan2(mu[j, 1], mu[j, 0])) if theta > 0.05 else 0.0
+        phi = 180.0 if phi < -179.5 else phi
         key = markup.spot(to_hex(f"C{k}")) if lobes.count > 1 and k < DRAWN else ""
         rows.append(
             (
@@ -78,7 +80,7 @@ def table(lobes: Lobes) -> markup.Markup:
                 markup.number(alpha[j]),
                 f"{100.0 * alpha[j] / total:.3g} %".replace("-", "−"),
                 f"{theta:.1f}°",
-                f"{phi:.0f}°".replace("-0°", "0°").replace("-", "−"),
+                _whole_degrees(phi),
                 markup.number(kappa[j]),
                 half_width(float(kappa[j])),
             )
@@ -108,7 +110,7 @@ def spread(lobes: Lobes) -> list[tuple[str, str]]:
     ]
 
 
-def brdf_card(brdf: BRDFLobes, *more: tuple[str, str]) -> markup.Markup:
+def brdf_card(brdf: BRDFLobes, *more: tuple[str, str], name: str = "BRDFLobes") -> markup.Markup:
     """HTML of lobes over viewing directions, with further pairs of figures."""
     _refuse(brdf.lobes)
     lobes = brdf.lobes
@@ -128,7 +130,7 @@ def brdf_card(brdf: BRDFLobes, *more: tuple[str, str]) -> markup.Markup:
         "The sum of the lobes, f cos θ of the light, in the plane of incidence; dotted lines: the "
         "viewers. Between views the parameters are interpolated."
     )
-    title = f"BRDFLobes: {lobes.count} lobes at each of {count} views"
+    title = f"{name}: {lobes.count} lobes at each of {count} views"
     return markup.card(title, picture, markup.key_figures(pairs), markup.note(words))
 
 
@@ -200,7 +202,11 @@ def _azimuth(lobes: Lobes) -> float:
     alpha, mu, _ = _numbers(lobes)
     x, y, _ = (np.abs(alpha)[:, None] * mu).sum(0)
     total = float(np.abs(alpha).sum()) or 1.0
-    return math.atan2(y, x) if math.hypot(x, y) > 0.02 * total else 0.0
+    if math.hypot(x, y) <= 0.02 * total:
+        return 0.0
+    # Of both ways to name a plane the one nearer to x, whose side is positive.
+    azimuth = math.remainder(math.atan2(y, x), math.pi)
+    return azimuth if azimuth > -0.5 * math.pi + 1e-6 else 0.5 * math.pi
 
 
 def _whole(lobes: Lobes) -> bool:
@@ -219,6 +225,10 @@ def _in_plane(lobes: Lobes, azimuth: float) -> tuple[np.ndarray, Float[np.ndarra
     at = lobe_fits._angles(turned)
     ways = np.stack([np.sin(at), np.zeros_like(at), np.cos(at)], -1)
     return at, np.asarray(lobe_fits._each(turned, ways), np.float64)
+
+
+def _whole_degrees(angle: float) -> str:
+    return f"{round(angle):d}°".replace("-", "−")
 
 
 def _range(values: np.ndarray) -> str:

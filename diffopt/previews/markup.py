@@ -27,8 +27,8 @@ INCH = 100.0
 MOST = 90_000
 
 # Half-transparent grey shows on white and on black.
-_RULE = "1px solid rgba(128,128,128,0.4)"
-_NUMBER = re.compile(r"^[<>≤≥~±]?\s*[+−-]?(\d|∞)")
+_ROW = "background:transparent;border-bottom:1px solid rgba(128,128,128,0.4);"
+_NUMBER = re.compile(r"^[<>≤≥~±]?\s*[+−-]?(\d|∞|—$)")
 
 
 class Markup(str):
@@ -90,7 +90,7 @@ def picture(
 def key_figures(pairs: Iterable[tuple[Any, Any]]) -> Markup:
     """A table of names and values, a pair in each row."""
     rows = "".join(
-        f'<tr style="background:transparent"><th scope="row" style="{_cell()}font-weight:normal;'
+        f'<tr style="{_ROW}"><th scope="row" style="{_cell()}font-weight:normal;'
         f'opacity:0.75;white-space:nowrap">{escape(name)}</th>'
         f'<td style="{_cell()}max-width:50ch">{escape(value)}</td></tr>'
         for name, value in pairs
@@ -133,7 +133,7 @@ def table(
     )
     body = []
     for k, row in enumerate(cells):
-        style = "background:transparent;" + "opacity:0.5;" * (k in dimmed)
+        style = _ROW + "opacity:0.5;" * (k in dimmed)
         style += "font-weight:bold;" * (k in strong)
         line = "".join(
             f'<td style="{_cell(r)}">{escape(cell)}</td>'
@@ -142,7 +142,7 @@ def table(
         body.append(f'<tr style="{style}">{line}</tr>')
     return Markup(
         f'<div style="overflow-x:auto;max-width:100%"><table style="{_TABLE}"><thead>'
-        f'<tr style="background:transparent">{head}</tr></thead><tbody>{"".join(body)}</tbody>'
+        f'<tr style="{_ROW}">{head}</tr></thead><tbody>{"".join(body)}</tbody>'
         "</table></div>"
     )
 
@@ -201,6 +201,8 @@ def card(title: Any, picture: str | None, *parts: str) -> Markup:
 def number(value: Any, digits: int = 4) -> str:
     """A number for people: few digits, a true minus, infinity as a sign."""
     value = float(value)
+    if math.isnan(value):
+        return "NaN"
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
     if value and not 1e-4 <= abs(value) < 1e6:
@@ -219,10 +221,7 @@ _TABLE = (
 
 def _cell(right: bool = False) -> str:
     side = "right" if right else "left"
-    return (
-        f"text-align:{side};padding:2px 14px 2px 0;border:none;border-bottom:{_RULE};"
-        "vertical-align:top;"
-    )
+    return f"text-align:{side};padding:2px 14px 2px 0;border:0;vertical-align:top;"
 
 
 def _numeric(cells: Sequence[Any]) -> bool:

@@ -14,6 +14,7 @@ from diffopt import checks, costs
 from diffopt.baking import Box
 from diffopt.choice import PreparedBRDF
 from diffopt.diffraction import DiffractionBRDF
+from diffopt.drawing import lobes
 from diffopt.errors import InputError
 from diffopt.materials.base import Material
 from diffopt.materials.diffracting import Diffraction
@@ -50,6 +51,8 @@ def card(material: Material) -> markup.Markup:
         )
         return markup.card(name, None, markup.key_figures(pairs), markup.note(words))
     try:
+        # Pictures need no more than float32.
+        material = material.typed(jnp.float32)
         subject = Subject(name, material, _wavelengths(material))
     except InputError as reason:
         return markup.card(
@@ -57,7 +60,7 @@ def card(material: Material) -> markup.Markup:
         )
     parts = [markup.key_figures(pairs)]
     with jax.enable_x64(False):
-        drawn = _drawn(subject) if material.smooth else None
+        drawn = _drawn(subject) if material.smooth else _stems(subject)
         albedo = carrying_power(material).albedo(_ways(np.array(SWATCHES)), NODES)
     xyz = subject.xyz(np.asarray(albedo))
     if not np.isfinite(xyz).all():
@@ -67,7 +70,7 @@ def card(material: Material) -> markup.Markup:
     words = (
         "Squares: the albedo by the angle of the light, under D65; Y = 1 is a perfect reflector."
     )
-    if material.delta:
+    if material.delta and material.smooth:
         words += " Light in single directions (mirror, refraction) is in the albedo alone."
     return markup.card(name, drawn, *parts, markup.note(words))
 
@@ -96,6 +99,13 @@ def _drawn(subject: Subject) -> markup.Markup:
     figure = polar.plot(curves, titles, whole=material.transmits, relative=True)
     alt = f"{what} of {subject.name} over the viewing angle, for light at 0, 30 and 60 degrees"
     return markup.picture(figure, alt, most=markup.MOST)
+
+
+def _stems(subject: Subject) -> markup.Markup:
+    """Lines in the single directions of mirrors and glass, as long as their share of the power."""
+    figure = lobes._stems(subject, LIGHTS)
+    alt = f"Directions and shares of the power of {subject.name}, for light at 0, 30 and 60 degrees"
+    return markup.picture(figure, alt, width=360, most=markup.MOST)
 
 
 def _ways(degrees: np.ndarray) -> np.ndarray:

@@ -7,8 +7,8 @@ from diffopt.accuracy.studies import Study, StudyResult
 from diffopt.previews import markup
 from diffopt.previews.bundles import NoCardError
 
-#: Points of the front that are named in the plot, rows that are listed.
-NAMED, LISTED = 24, 200
+#: Points of the front that are named in the plot, rows that are listed, bytes of the plot.
+NAMED, LISTED, MOST = 24, 48, 60_000
 # Rows listed unfolded.
 _OPEN = 12
 
@@ -31,7 +31,7 @@ def card(result: StudyResult) -> markup.Markup:
         figure = result.plot()
         width = min(620.0, 88.0 * float(figure.get_figwidth()))
         what = f"Error against {study.against}"
-    drawn = markup.picture(figure, f"{study.name}: {what}", width=width, most=markup.MOST)
+    drawn = markup.picture(figure, f"{study.name}: {what}", width=width, most=MOST)
     front, problems = result.front(), len(result.problems())
     pairs = [
         ("error of", study.quantity),
@@ -102,7 +102,7 @@ def plot(result: StudyResult) -> Any:
                 )
     axes.set(xscale="log", yscale="log")
     axes.margins(x=0.12, y=0.1)
-    axes.tick_params(labelsize=7)
+    axes.tick_params(which="both", labelsize=7)
     axes.set_xlabel("run time / ms", fontsize=8)
     axes.set_ylabel("error", fontsize=8)
     if said:
