@@ -15,7 +15,7 @@ from diffopt.scenes import Environment, LobeEnvironment, meshfiles
 from diffopt.scenes.channels import Channels
 from diffopt.scenes.shapes import Box, Disc, Plane, Sphere
 from diffopt.scenes.transforms import translate
-from diffopt.transfer import reflectors, relighting
+from diffopt.transfer import between, reflectors, relighting
 from diffopt.transfer.lighting import prepare
 from diffopt.transfer.precomputation import precompute
 from diffopt.transfer.raster import Raster
@@ -31,7 +31,7 @@ def shown(objects, light, settings=LEAST, camera=CAMERA):
     """Its transfer and picture under light."""
     found = precompute(do.Scene(objects), settings)
     seen = Raster(found.mesh.vertices, found.triangles)(camera)
-    return found, np.asarray(relighting.picture(relighting.tables(found), light, seen))
+    return found, np.asarray(between.picture(relighting.tables(found), light, seen))
 
 
 @pytest.fixture(scope="module")

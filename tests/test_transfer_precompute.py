@@ -14,7 +14,7 @@ from diffopt.scenes import Environment, LobeEnvironment
 from diffopt.scenes.channels import Channels
 from diffopt.scenes.shapes import Box, Plane
 from diffopt.scenes.transforms import facing, translate
-from diffopt.transfer import relighting, tessellation
+from diffopt.transfer import between, relighting, tessellation
 from diffopt.transfer.lighting import prepare
 from diffopt.transfer.precomputation import precompute
 from diffopt.transfer.raster import Raster
@@ -126,8 +126,8 @@ def test_uniform_and_adaptive_agree(transfer, held, seen):
     assert len(whole.rounds) == 1
     light = prepare([soft()], RGB, "lobes")
     found = Raster(whole.mesh.vertices, whole.triangles)(CAMERA, 2)
-    a = np.asarray(relighting.picture(held, light, seen))
-    b = np.asarray(relighting.picture(relighting.tables(whole), light, found))
+    a = np.asarray(between.picture(held, light, seen))
+    b = np.asarray(between.picture(relighting.tables(whole), light, found))
     lit = b[..., 0] > 0.0
     # The tolerance, in the square mean, is more than is lost by what was not split.
     assert np.sqrt(((a - b)[lit] ** 2).mean()) < QUICK.tolerance * b[lit].mean()
@@ -141,7 +141,7 @@ def test_pictures_agree_with_path_tracing(name, held, seen):
     light = Environment(np.ones((32, 64)) if name == "even" else sky())
     settings = do.rendering.PathSettings(spp=128, depth=2)
     truth = do.render(do.Scene(on_a_floor(), [light]), CAMERA, "path", settings=settings)
-    got = np.asarray(relighting.picture(held, prepare([light], RGB), seen))
+    got = np.asarray(between.picture(held, prepare([light], RGB), seen))
     inside = truth.object >= 0
     for shift in ((0, 1), (0, -1), (1, 0), (-1, 0)):  # pixels of one object alone
         inside &= np.roll(truth.object, shift, (0, 1)) == truth.object
@@ -165,18 +165,18 @@ def test_a_turned_sky_is_a_sky_of_turned_lobes(held, seen):
         lobes = do.Lobes(
             light.lobes.alpha, np.asarray(light.lobes.mu) @ rotation.T, light.lobes.kappa
         )
-        expected = relighting.picture(held, prepare([LobeEnvironment(lobes)], RGB, "lobes"), seen)
+        expected = between.picture(held, prepare([LobeEnvironment(lobes)], RGB, "lobes"), seen)
         for method in ("lobes", "harmonics"):
             turned = prepare([light], RGB, method).turned(jnp.asarray(rotation, jnp.float32))
-            got = relighting.picture(held, turned, seen)
+            got = between.picture(held, turned, seen)
             # Rounding; the sky's harmonics of degree 16 and more are below that.
             np.testing.assert_allclose(got, expected, atol=2e-5 * float(expected.max()))
 
 
 def test_three_methods_on_a_smooth_sky(held, seen):
-    exact = np.asarray(relighting.picture(held, prepare([soft()], RGB, "lobes"), seen))
+    exact = np.asarray(between.picture(held, prepare([soft()], RGB, "lobes"), seen))
     for method, most in (("pyramid", 0.015), ("harmonics", 1e-3)):
-        got = np.asarray(relighting.picture(held, prepare([soft()], RGB, method), seen))
+        got = np.asarray(between.picture(held, prepare([soft()], RGB, method), seen))
         # As documented for each of them.
         assert np.abs(got - exact).max() < most * exact.max()
 
@@ -204,7 +204,7 @@ def test_programs_serve_all_lights_and_cameras(held, raster):
         light = prepare([soft((1.0 + k, 1.0, 0.5))], RGB, "lobes").scaled(1.0 + k)
         camera = dataclasses.replace(CAMERA, eye=eye)
         found = raster(camera, 1)
-        got = relighting.picture(held, Counted(light, count), found)
+        got = between.picture(held, Counted(light, count), found)
         assert np.isfinite(np.asarray(got)).all()
         sizes.append((len(found.vertices), len(found.covered)))
         if not k:
@@ -219,7 +219,7 @@ def test_slopes_in_the_pixels_of_the_sky(held, seen, rng):
 
     def mean(pixels):
         light = prepare([Environment(pixels)], RGB)
-        return relighting.picture(held, light, seen).mean()
+        return between.picture(held, light, seen).mean()
 
     both = jax.jit(jax.value_and_grad(mean))
     gradient = np.asarray(both(jnp.asarray(base, jnp.float32))[1], float)
@@ -241,7 +241,7 @@ def test_slopes_in_the_weights_of_lobes(held, seen, rng):
     @jax.value_and_grad
     def both(tables):
         changed = eqx.tree_at(lambda h: (h.views, h.diffuse), held, tables)
-        return relighting.picture(changed, light, seen).mean()
+        return between.picture(changed, light, seen).mean()
 
     _, gradients = both(tables)
     for which, (table, gradient) in enumerate(zip(tables, gradients, strict=True)):
@@ -263,7 +263,7 @@ def test_vertices_and_pixels_on_a_fine_mesh(held, seen):
     """Broad light changes little between vertices: lobes or radiance may be interpolated."""
     light = prepare([soft()], RGB, "lobes")
     pixels, vertices = (
-        np.asarray(relighting.picture(held, light, seen, per_pixel=p)) for p in (True, False)
+        np.asarray(between.picture(held, light, seen, per_pixel=p)) for p in (True, False)
     )
     assert np.abs(pixels - vertices).max() < 0.03 * pixels.max()
     lobes = relighting.vertex_lobes(held, *_towards(held, CAMERA.eye))
@@ -288,8 +288,8 @@ def test_radiance_of_vertices_is_the_sum_over_their_lobes(held):
 
 def test_coloured_light_on_a_grey_scene(held, seen):
     colour = np.array([0.2, 1.0, 3.0])
-    got = np.asarray(relighting.picture(held, prepare([Environment(colour)], RGB), seen))
-    grey = np.asarray(relighting.picture(held, prepare([Environment(1.0)], RGB), seen))
+    got = np.asarray(between.picture(held, prepare([Environment(colour)], RGB), seen))
+    grey = np.asarray(between.picture(held, prepare([Environment(1.0)], RGB), seen))
     assert got.shape == (24, 24, 3)
     np.testing.assert_allclose(got, grey[..., :1] * colour, rtol=1e-5, atol=1e-6)
     assert got.max() > 0.5
@@ -299,8 +299,8 @@ def test_backgrounds(held, raster):
     """Samples beside all surfaces, one by one."""
     found = raster(CAMERA, 2)
     light = prepare([Environment(1.0)], RGB)
-    dark = np.asarray(relighting.picture(held, light, found))
-    bright = np.asarray(relighting.picture(held, light, found, background=5.0))
+    dark = np.asarray(between.picture(held, light, found))
+    bright = np.asarray(between.picture(held, light, found, background=5.0))
     covered = np.zeros(24 * 24 * 4)
     covered[np.unique(found.covered[found.covered < len(covered)])] = 1.0
     free = 1.0 - covered.reshape(-1, 4).mean(1).reshape(24, 24, 1)

@@ -14,7 +14,7 @@ from diffopt.accuracy import transfer_runs
 from diffopt.accuracy.benchmarks import Benchmark, Entry
 from diffopt.scenes import models
 from diffopt.scenes.camera import Camera
-from diffopt.transfer import references, relighting, slices
+from diffopt.transfer import between, references, relighting, slices
 from diffopt.transfer.lighting import HarmonicSettings
 from diffopt.transfer.raster import Raster, Seen
 from diffopt.transfer.relighting import Tables
@@ -98,7 +98,7 @@ def _relight(size: str) -> list[Entry]:
         return relighting.vertex_radiance(tables, light, numbers, wo)
 
     def frame(tables: Any, light: Any) -> jax.Array:
-        return relighting.picture(tables, light, at)
+        return between.picture(tables, light, at)
 
     found = [
         Entry(

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 from diffopt.accuracy import transfer_scenes, transfer_truth
 from diffopt.errors import InputError
 from diffopt.scenes.channels import Channels
-from diffopt.transfer import precomputation, relighting
+from diffopt.transfer import between, precomputation
 from diffopt.transfer.lighting import Lighting, prepare
 from diffopt.transfer.precomputation import Transfer
 from diffopt.transfer.raster import Raster, Seen
@@ -167,7 +167,7 @@ def picture(
     held: Tables, light: Lighting, at: Seen, per_pixel: bool = True
 ) -> Float[np.ndarray, "h w"]:
     """Relit picture of a grey scene under grey light."""
-    found = relighting.picture(held, light, at, per_pixel=per_pixel)
+    found = between.picture(held, light, at, per_pixel=per_pixel)
     return np.asarray(found, np.float64)[..., 0]
 
 
@@ -183,7 +183,7 @@ def frame_s(
         now = light.turned(turn)
         jax.block_until_ready(jax.tree.leaves(now))
         begun = time.perf_counter()
-        jax.block_until_ready(relighting.picture(held, now, at, per_pixel=per_pixel))
+        jax.block_until_ready(between.picture(held, now, at, per_pixel=per_pixel))
         times.append(time.perf_counter() - begun)
     return statistics.median(times[1:])
 

@@ -99,7 +99,7 @@ def frames_a_second(transfer: "Transfer", found: "SceneFile") -> float:
     import numpy as np
 
     from diffopt.scenes.lights import Environment
-    from diffopt.transfer import lighting, raster, relighting
+    from diffopt.transfer import between, lighting, raster, relighting
 
     camera = dataclasses.replace(found.camera, resolution=(_PIXELS, _PIXELS))
     held = relighting.tables(transfer)
@@ -112,7 +112,7 @@ def frames_a_second(transfer: "Transfer", found: "SceneFile") -> float:
     spent = []
     for _ in range(_FRAMES + 1):
         began = time.perf_counter()
-        jax.block_until_ready(relighting.picture(held, light, seen))
+        jax.block_until_ready(between.picture(held, light, seen))
         spent.append(time.perf_counter() - began)
     return 1.0 / sorted(spent[1:])[_FRAMES // 2]
 

@@ -27,13 +27,14 @@ are needed (after the glossy-transfer paper). Light averaged over the lobes make
 `backgrounds`     what is seen past the surfaces
 `raster`          what a camera sees of the mesh
 `fields`          lobes as one array for each of their numbers
-`relighting`      radiance of vertices and of pictures
+`relighting`      radiance of vertices; `between`: of pictures
 `interactive`     relighting in a loop
 `layers`          light of one kind of path
 `pictures`        the mesh, the views, the difference from a reference
 ================  ==========================================================
 """
 
+from diffopt.transfer.between import picture as picture
 from diffopt.transfer.infinity import from_infinity as from_infinity
 from diffopt.transfer.interactive import Relit as Relit
 from diffopt.transfer.layers import LAYERS as LAYERS
@@ -45,7 +46,6 @@ from diffopt.transfer.precomputation import precompute as precompute
 from diffopt.transfer.pyramid import PyramidSettings as PyramidSettings
 from diffopt.transfer.raster import Raster as Raster
 from diffopt.transfer.relighting import Tables as Tables
-from diffopt.transfer.relighting import picture as picture
 from diffopt.transfer.relighting import tables as tables
 from diffopt.transfer.settings import TransferSettings as TransferSettings
 from diffopt.transfer.store import load as load

@@ -14,7 +14,7 @@ from diffopt.errors import InputError
 from diffopt.scenes import lights
 from diffopt.scenes.camera import Camera
 from diffopt.scenes.scene import Scene
-from diffopt.transfer import infinity, lighting, relighting
+from diffopt.transfer import between, infinity, lighting, relighting
 from diffopt.transfer.backgrounds import Background
 from diffopt.transfer.precomputation import Transfer
 from diffopt.transfer.raster import Raster
@@ -150,7 +150,7 @@ class Relit:
         background
             Whether the environment is seen; 0 otherwise.
         """
-        return relighting.picture(
+        return between.picture(
             self.tables if held is None else held,
             self._lit,
             self._seen,

@@ -1,9 +1,8 @@
-"""Precomputed transfer under light: radiance of vertices and of pictures, in one jitted function.
+"""Precomputed transfer under light: lobes and radiance of vertices.
 
 Slices between the views are interpolated at the vertices of what a camera sees, in their local
-frames. Between the vertices lobes are interpolated at every pixel, as they differ from those of
-the unoccluded material, or radiance itself is (the glossy-transfer paper, section 6.2). The light
-may be anything with ``radiance(mu, kappa)``, see `diffopt.transfer.lighting`.
+frames; see `diffopt.transfer.between` for what lies between the vertices. The light may be
+anything with ``radiance(mu, kappa)``, see `diffopt.transfer.lighting`.
 
 Differentiable in the light and in the lobes.
 """
@@ -14,25 +13,17 @@ import operator
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from diffopt.kernels import frames
-from diffopt.kernels.frames import dot
-from diffopt.rendering import programs
 from diffopt.transfer import fields, references
 from diffopt.transfer.fields import Fields, unpacked
 from diffopt.transfer.precomputation import Transfer
-from diffopt.transfer.raster import Seen
 from diffopt.transfer.references import Axis, Reference
 from diffopt.transfer.slices import Slices
 from diffopt.transfer.views import Locator, locator
-
-# Pixels whose lobes are held at a time.
-_PIXELS = 2**13
 
 
 @runtime_checkable
@@ -122,7 +113,7 @@ def _packed(found: Slices) -> np.ndarray:
     return each.reshape(len(each), math.prod(each.shape[1:]))  # there may be no rows
 
 
-def _lit(found: Fields, light: Lighting) -> Float[Array, "n C"]:
+def lit_lobes(found: Fields, light: Lighting) -> Float[Array, "n C"]:
     """Radiance of lobes under light."""
     # Look-ups one after the other: what stacks them takes longer than they do.
     total: list[Any] = []
@@ -154,7 +145,7 @@ def _held(held: Tables, vertices: Array, wo: Array) -> _Held:
     """Glossy lobes of vertices in the local frames, towards directions in the world [n, 3]."""
     columns = held.axes[vertices].reshape(-1, 9).T
     axes = columns[0:3], columns[3:6], columns[6:9]
-    local = _into(axes, wo)
+    local = into(axes, wo)
     level = held.level[vertices]
     place = held.find(local, jnp.maximum(level, 0))
     first = held.first[vertices]
@@ -166,17 +157,17 @@ def _held(held: Tables, vertices: Array, wo: Array) -> _Held:
         shares.append(place.shares[:, corner])
     found = fields.between(shares, parts)
     alpha = [[jnp.where(some, a, 0.0) for a in each] for each in found.alpha]
-    over = _unoccluded(held.over, held.material[vertices], local)
+    over = unoccluded(held.over, held.material[vertices], local)
     return _Held(found._replace(alpha=alpha), over, axes)
 
 
-def _into(axes: tuple[Array, Array, Array], wo: Array) -> Float[Array, "n 3"]:
+def into(axes: tuple[Array, Array, Array], wo: Array) -> Float[Array, "n 3"]:
     """Directions [n, 3] in local frames."""
     x, y, z = wo[:, 0], wo[:, 1], wo[:, 2]
     return frames.direction(*(a[0] * x + a[1] * y + a[2] * z for a in axes))
 
 
-def _out_of(axes: tuple[Array, Array, Array], local: Axis) -> Axis:
+def out_of(axes: tuple[Array, Array, Array], local: Axis) -> Axis:
     """Directions of local frames in the world."""
     x, y, z = local
     t, b, n = axes
@@ -184,7 +175,7 @@ def _out_of(axes: tuple[Array, Array, Array], local: Axis) -> Axis:
     return first, second, third
 
 
-def _unoccluded(over: Reference, material: Array, local: Array) -> Fields:
+def unoccluded(over: Reference, material: Array, local: Array) -> Fields:
     """Unoccluded lobes in local frames."""
     rows, shares = over.places(material, local)
     each = [unpacked(over.rows[rows[:, k]], over.lobes) for k in range(3)]
@@ -204,7 +195,7 @@ def _unoccluded(over: Reference, material: Array, local: Array) -> Fields:
     )
 
 
-def _weighed(found: Fields, over: Fields) -> list[list[Array]]:
+def weighed(found: Fields, over: Fields) -> list[list[Array]]:
     """Integrals of lobes that are held over those of the unoccluded ones."""
     lobes = len(over.alpha)
     return [
@@ -220,10 +211,10 @@ def _vertex_fields(held: Tables, vertices: Array, wo: Array) -> Fields:
     for k, axis in enumerate(over.mu):
         mu[k] = references.out_of(axis, mu[k])
         log[k] = log[k] + over.log_kappa[k]
-    return Fields(_weighed(found, over), [_out_of(axes, m) for m in mu], log)
+    return Fields(weighed(found, over), [out_of(axes, m) for m in mu], log)
 
 
-def _vertex_rows(held: Tables, vertices: Array, wo: Array) -> Float[Array, "n F"]:
+def vertex_rows(held: Tables, vertices: Array, wo: Array) -> Float[Array, "n F"]:
     """What pixels interpolate: lobes over the unoccluded ones, and where and how vertices lie.
 
     Of direct light the axis is held as its offset from that of the unoccluded lobe, in the world.
@@ -235,46 +226,14 @@ def _vertex_rows(held: Tables, vertices: Array, wo: Array) -> Float[Array, "n F"
             there = references.out_of(over.mu[k], mu)
             x, y, z = (a - b for a, b in zip(there, over.mu[k], strict=True))
             mu = (x, y, z)
-        rows.append(jnp.stack([*_out_of(axes, mu), log, *alpha]))
+        rows.append(jnp.stack([*out_of(axes, mu), log, *alpha]))
     frame = jnp.concatenate([held.position[vertices].T, *(axes[k] for k in (0, 2))])
     return jnp.concatenate([*rows, frame]).T
 
 
-def _pixel_fields(
-    held: Tables, rows: list[Array], shares: list[Array], material: Array, eye: Array
-) -> Fields:
-    """Glossy lobes of samples from the rows [n, F] of their corners.
-
-    The unoccluded lobes are those of each sample's own normal and direction: a surface without
-    occluders is shaded as if it were not made of triangles.
-    """
-    parts = [unpacked(row[:, :-9], held.lobes) for row in rows]
-    last = rows[0].shape[1] - 9
-    frame = [fields.mixed(shares, [row[:, last + i] for row in rows]) for i in range(9)]
-    away = [eye[i] - frame[i] for i in range(3)]
-    x, y, z = fields.normalised(away, (frame[0] * 0.0, frame[0] * 0.0, frame[0] * 0.0 + 1.0))
-    first = (rows[0][:, -3], rows[0][:, -2], rows[0][:, -1])
-    normal = fields.normalised([frame[6], frame[7], frame[8]], first)
-    lean = sum(n * frame[3 + i] for i, n in enumerate(normal))
-    flat = [frame[3 + i] - lean * n for i, n in enumerate(normal)]
-    # Any tangent will do where there is none: there only round lobes look alike on both sides.
-    other = frames.tangents(frames.direction(*normal))[0].T
-    tangent = fields.normalised(flat, (other[0], other[1], other[2]))
-    (a, b, c), (p, q, r) = normal, tangent
-    across = (b * r - c * q, c * p - a * r, a * q - b * p)
-    axes = (jnp.stack(tangent), jnp.stack(across), jnp.stack(normal))
-    over = _unoccluded(held.over, material, _into(axes, frames.direction(x, y, z)))
-    found = fields.between(shares, parts, held.over.lobes)
-    mu, log = list(found.mu), list(found.log_kappa)
-    for k, axis in enumerate(over.mu):
-        there = _out_of(axes, axis)
-        mu[k] = fields.normalised([u + v for u, v in zip(there, mu[k], strict=True)], there)
-        log[k] = log[k] + over.log_kappa[k]
-    return Fields(_weighed(found, over), mu, log)
-
-
-def _matte(held: Tables, light: Lighting, vertices: Array) -> Float[Array, "n C"]:
-    return _lit(unpacked(held.diffuse[vertices], held.lobes), light)
+def matte_radiance(held: Tables, light: Lighting, vertices: Array) -> Float[Array, "n C"]:
+    """View-independent radiance of vertices."""
+    return lit_lobes(unpacked(held.diffuse[vertices], held.lobes), light)
 
 
 @eqx.filter_jit
@@ -305,100 +264,7 @@ def vertex_radiance(
     """Radiance of vertices towards directions in the world, as for `vertex_lobes`."""
     total: Any = 0.0
     if held.matte or not held.glossy:  # zeros of the light's channels where all is black
-        total = _matte(held, light, vertices)
+        total = matte_radiance(held, light, vertices)
     if held.glossy:
-        total = total + _lit(_vertex_fields(held, vertices, wo), light)
+        total = total + lit_lobes(_vertex_fields(held, vertices, wo), light)
     return total
-
-
-def _samples(
-    held: Tables,
-    light: Lighting,
-    vertices: Array,
-    corners: Array,
-    shares: Array,
-    eye: Array,
-    per_pixel: bool,
-) -> Array:
-    """Radiance of samples, [P, C]."""
-    away = eye[None] - held.position[vertices]
-    wo = away / jnp.sqrt(jnp.maximum(dot(away, away), 1e-30))[:, None]
-    if not per_pixel or not held.glossy:
-        each = vertex_radiance(held, light, vertices, wo)
-        parts = [shares[:, k : k + 1] * each[corners[:, k]] for k in range(3)]
-        return parts[0] + parts[1] + parts[2]
-    table = _vertex_rows(held, vertices, wo)
-    material = held.material[vertices]
-    matte = _matte(held, light, vertices) if held.matte else None
-
-    def some(args: tuple[Array, Array]) -> Array:
-        where, share = args
-        weights = [share[:, k] for k in range(3)]
-        rows = [table[where[:, k]] for k in range(3)]
-        value = _lit(_pixel_fields(held, rows, weights, material[where[:, 0]], eye), light)
-        if matte is not None:
-            for k in range(3):
-                value = value + share[:, k : k + 1] * matte[where[:, k]]
-        return value
-
-    count = corners.shape[0]
-    size = min(_PIXELS, count)
-    blocks = -(-count // size)
-    short = blocks * size - count
-    padded = [jnp.concatenate([a, jnp.repeat(a[:1], short, axis=0)]) for a in (corners, shares)]
-    out = jax.lax.map(some, tuple(a.reshape(blocks, size, 3) for a in padded))
-    return out.reshape(blocks * size, -1)[:count]
-
-
-def picture(
-    held: Tables,
-    light: Lighting,
-    seen: Seen,
-    *,
-    background: Any = None,
-    per_pixel: bool = True,
-) -> Float[Array, "h w C"]:
-    """A picture of what a camera sees.
-
-    Parameters
-    ----------
-    held
-        The transfer.
-    light
-        On it.
-    seen
-        By the camera, see `Raster`.
-    background
-        Radiance of samples that see no surface, [P, C] or one number; 0 by default.
-    per_pixel
-        Lobes are interpolated and lit at every sample; False: radiance of vertices is
-        interpolated.
-    """
-    arrays = (jnp.asarray(a) for a in (seen.vertices, seen.corners, seen.shares, seen.eye))
-    value = _picture(held, light, *arrays, per_pixel)
-    rows, columns = seen.shape
-    behind = jnp.zeros((), value.dtype) if background is None else jnp.asarray(background)
-    whole = _composed(value, behind, jnp.asarray(seen.place), seen.samples)
-    return whole.reshape(rows, columns, -1)
-
-
-# Two compilations of the same: the first is twice as fast with lobes at every pixel, half as fast
-# without, and is not for use within other programs.
-_quick = programs.Program(_samples)
-_traced = eqx.filter_jit(_samples)
-
-
-def _picture(*args: Any) -> Array:
-    inside = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(args))
-    return (_quick if args[-1] and not inside else _traced)(*args)
-
-
-@functools.partial(jax.jit, static_argnums=3)
-def _composed(value: Array, behind: Array, place: Array, samples: int) -> Array:
-    """Samples put into their places and averaged over pixels."""
-    count = value.shape[0]
-    found = value[jnp.minimum(place, count - 1)]
-    behind = jnp.broadcast_to(behind, found.shape).astype(value.dtype)
-    whole = jnp.where((place < count)[:, None], found, behind)
-    each = samples**2
-    return whole if each == 1 else whole.reshape(-1, each, value.shape[1]).mean(1)

@@ -247,13 +247,10 @@ class Session:
 
     def _prepare(self, values: dict[str, Any]) -> bool:
         """Take what has been built for these values; ask for what has not."""
-        built = dict(self._built)
+        built, keys = dict(self._built), dict(self._keys)
         self._failure = ""
-        keys = {}
-        for name, key in self.subject.wanted(values, self._built).items():
-            if self._keys.get(name) == key:
-                keys[name] = key
-                continue
+        while missing := self._missing(values, built, keys):
+            name, key = missing
             there, found = self.builder.ask(self, name, key, self._wake)
             if not there:
                 return False
@@ -263,6 +260,15 @@ class Session:
             built[name], keys[name] = found, key
         self._built, self._keys = built, keys
         return True
+
+    def _missing(
+        self, values: Values, built: dict[str, Any], keys: dict[str, Any]
+    ) -> tuple[str, Any] | None:
+        """The first thing that is of other values; what follows may depend on it."""
+        for name, key in self.subject.wanted(values, built).items():
+            if name not in keys or keys[name] != key:
+                return name, key
+        return None
 
     def _comparing(self, values: Values) -> bool:
         """Whether it is still to be found which way is the faster."""
