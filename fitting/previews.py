@@ -42,6 +42,7 @@ def lobe_card(fit: LobeFit) -> markup.Markup:
     if not np.isfinite(error).all():
         raise NoCardError("its error is not finite")
     settled = np.atleast_1d(np.asarray(fit.settled)).ravel()
+    some = f"{int(settled.sum())} of {settled.size}" if settled.any() else "no"
     pairs = [
         ("relative L2 error", _spread(error)),
         (
@@ -50,7 +51,7 @@ def lobe_card(fit: LobeFit) -> markup.Markup:
         ),
         ("method", fit.method),
         ("steps", str(int(np.max(fit.steps)))),
-        ("settled", "yes" if settled.all() else f"{int(settled.sum())} of {settled.size}"),
+        ("settled", "yes" if settled.all() else some),
     ]
     if fit.brdf is not None:
         return lobes.brdf_card(fit.brdf, *pairs, name="LobeFit")
@@ -168,7 +169,7 @@ def profile_card(profile: Profile) -> markup.Markup:
     axes.plot(profile.values, loss, ".-", ms=3, lw=1.1)
     at = np.isin(profile.values, profile.minima)
     axes.plot(profile.values[at], loss[at], "v", ms=6, mfc="none", color="C3", label="minima")
-    if np.nanmin(loss) > 0.0:
+    if np.nanmax(loss) > 5.0 * np.nanmin(loss) > 0.0:
         axes.set_yscale("log")
     axes.legend(fontsize=7, frameon=False)
     _small(axes, profile.name, "misfit")
@@ -182,7 +183,7 @@ def profile_card(profile: Profile) -> markup.Markup:
     if profile.chi2 is not None:
         # Where chi^2 is by 1 above its least: a standard error on either side.
         near = profile.values[profile.chi2 <= profile.chi2.min() + 1.0]
-        pairs.append(("within a standard error", _from_to(near)))
+        pairs.append(("within a standard error", _from_to(near, digits=6)))
     alt = f"Misfit over {profile.name}, least at {best:.5g}"
     picture = markup.picture(figure, alt, most=markup.MOST)
     return markup.card(f"Profile over {profile.name}", picture, markup.key_figures(pairs))
@@ -384,6 +385,6 @@ def _spread(values: np.ndarray) -> str:
     return f"{markup.number(values.mean(), 3)} ({ends})"
 
 
-def _from_to(values: np.ndarray, unit: str = "") -> str:
-    low, high = markup.number(np.min(values)), markup.number(np.max(values))
+def _from_to(values: np.ndarray, unit: str = "", digits: int = 4) -> str:
+    low, high = (markup.number(end, digits) for end in (np.min(values), np.max(values)))
     return f"{low}{unit}" if low == high else f"{low} to {high}{unit}"

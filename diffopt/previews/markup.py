@@ -210,7 +210,9 @@ def number(value: Any, digits: int = 4) -> str:
         if "." in mantissa:
             mantissa = mantissa.rstrip("0").rstrip(".")
         return f"{mantissa}e{int(exponent)}".replace("-", "−")
-    return f"{value:.{digits}g}".replace("-", "−")
+    # Whole numbers of more digits are written out.
+    said = f"{value:.0f}" if abs(value) >= 10.0**digits else f"{value:.{digits}g}"
+    return said.replace("-", "−")
 
 
 _TABLE = (
@@ -220,7 +222,7 @@ _TABLE = (
 
 
 def _cell(right: bool = False) -> str:
-    side = "right" if right else "left"
+    side = "right;white-space:nowrap" if right else "left"
     return f"text-align:{side};padding:2px 14px 2px 0;border:0;vertical-align:top;"
 
 
