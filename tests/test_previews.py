@@ -20,6 +20,7 @@ from diffopt.accuracy import studies
 from diffopt.errors import InputError
 from diffopt.loading import Provenance
 from diffopt.materials import Dielectric, Lambert, Microfacet, Mirror
+from diffopt.materials.combined import Emission
 from diffopt.materials.diffracting import Diffraction
 from diffopt.planning.plans import Plan, Row
 from diffopt.previews import markup
@@ -300,6 +301,9 @@ def test_materials_without_a_picture(prepared):
     found = parts(slow)
     assert not found.files
     assert "No picture: it would take some" in found.text
+    lamp = parts(Emission((1.0, 0.5, 0.2)))
+    assert "scatters no light" in lamp.text
+    assert "radiance (1, 0.5, 0.2)" in lamp.text
     bad = eqx.tree_at(lambda m: m.colour, Lambert(0.5), jnp.asarray(np.nan))
     assert "not finite" in none(bad)
     quick = parts(Diffraction(prepared))

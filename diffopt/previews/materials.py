@@ -60,11 +60,13 @@ def card(material: Material) -> markup.Markup:
         )
     parts = [markup.key_figures(pairs)]
     with jax.enable_x64(False):
-        drawn = _drawn(subject) if material.smooth else _stems(subject)
         albedo = carrying_power(material).albedo(_ways(np.array(SWATCHES)), NODES)
-    xyz = subject.xyz(np.asarray(albedo))
-    if not np.isfinite(xyz).all():
-        raise NoCardError("its albedo is not finite")
+        xyz = subject.xyz(np.asarray(albedo))
+        if not np.isfinite(xyz).all():
+            raise NoCardError("its albedo is not finite")
+        if not xyz.any():
+            return markup.card(name, None, *parts, markup.note("It scatters no light."))
+        drawn = _drawn(subject) if material.smooth else _stems(subject)
     labels = [f"{a:g}°: {_luminance(c)}" for a, c in zip(SWATCHES, xyz, strict=True)]
     parts.append(colours.row(colours.swatches(xyz, labels)))
     words = (
