@@ -16,7 +16,7 @@ FLOAT32 = tests/test_lookup.py tests/test_methods.py::test_float32_carries_deep_
 	tests/test_methods.py::test_float32_refuses_what_it_cannot_carry \
 	tests/test_materials.py
 
-.PHONY: demo test lint notebooks clean
+.PHONY: demo test lint docs notebooks clean
 
 demo: $(VENV)/installed
 	$(RUN) -m diffopt demo -o out/demo
@@ -29,6 +29,10 @@ lint: $(VENV)/installed-test
 	$(RUN) -m ruff check .
 	$(RUN) -m ruff format --check .
 	$(RUN) -m pyright
+
+# The theme announces on every run that it will change; that is no warning about the pages.
+docs: $(VENV)/installed-test
+	NO_MKDOCS_2_WARNING=1 $(RUN) -m mkdocs build --strict --quiet
 
 $(VENV)/created:
 	@test -n "$(PYTHON)" || { echo "make: Python 3.11 or newer not found; set PYTHON=/path/to/python3" >&2; exit 1; }
@@ -44,4 +48,4 @@ $(VENV)/installed-test: $(VENV)/created pyproject.toml constraints.txt
 	touch $(VENV)/installed $@
 
 clean:
-	rm -rf out build dist *.egg-info .pytest_cache .ruff_cache
+	rm -rf out site build dist *.egg-info .pytest_cache .ruff_cache

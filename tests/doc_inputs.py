@@ -6,17 +6,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-
 from doc_blocks import ROOT
 
 SIDE, PIXEL = 128, 0.08
 
 
 def heights() -> np.ndarray:
-    """A rounded grating of 1.6 um with a slight roughness, micrometres."""
+    """A sinusoidal grating of 1.6 um with some noise, micrometres."""
     x = PIXEL * np.arange(SIDE)
-    rough = 0.002 * np.random.default_rng(0).normal(size=(SIDE, SIDE))
-    return 0.06 * np.tanh(2.0 * np.sin(2.0 * np.pi * x / 1.6))[None] + rough
+    noise = 0.002 * np.random.default_rng(0).normal(size=(SIDE, SIDE))
+    return 0.05 * np.sin(2.0 * np.pi * x / 1.6)[None] + noise
 
 
 def sur(path: Path) -> None:

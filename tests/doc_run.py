@@ -57,7 +57,7 @@ def console(block: Block, names: dict[str, Any]) -> None:
         words = shlex.split(line)
         if words[0] != "diffopt":
             check_other(line, words)
-        elif parsed_only(line):
+        elif parsed_only(line, block.page.relative_to(ROOT).as_posix()):
             parse(words[1:])
         else:
             start, out = time.perf_counter(), io.StringIO()
