@@ -128,10 +128,12 @@ def twisted(points: Float[np.ndarray, "V 3"], rate: float) -> Float[np.ndarray, 
     return np.stack([cos * x - sin * y, sin * x + cos * y, z], -1)
 
 
-def sky(directions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+def sky(
+    directions: Float[np.ndarray, "n 3"], sun: Float[np.ndarray, "3"] = _SUN
+) -> Float[np.ndarray, "n 3"]:
     """Radiance of sky and sun, linear RGB: bluish, brighter overhead, dark below the horizon."""
     up = np.clip(directions[:, 2], 0.0, None)
-    lobe = np.exp(_SHARPNESS * (directions @ _SUN - 1.0)) * (up > 0.0)
+    lobe = np.exp(_SHARPNESS * (directions @ sun - 1.0)) * (up > 0.0)
     above = np.where(directions[:, 2] > 0.0, 0.45 + 0.55 * up, 0.0)
     return above[:, None] * _SKY_RGB + lobe[:, None] * _SUN_RGB
 

@@ -5,6 +5,7 @@ same light, so that pictures show shadows on the ground as the fields have them,
 """
 
 import functools
+from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -87,7 +88,7 @@ class Stage:
             Local light.
         """
         ground = np.clip(_bilinear(irradiance, self._ground), 0.0, None) * GROUND_RGB / np.pi
-        factor = _EXPOSED / _luminance(_open_ground() * GROUND_RGB / np.pi)
+        factor = _EXPOSED / _luminance(open_ground() * GROUND_RGB / np.pi)
         shown = self._shown[:, None]
         linear = factor * ground * shown + (1.0 - shown) * self._back
         rays = Rays(vertices, faces)
@@ -120,11 +121,28 @@ def lit(
     vertices: Float[np.ndarray, "V 3"],
     faces: Int[np.ndarray, "F 3"],
     lamp: SphereLight | None = None,
+    *,
+    sky: Callable[[np.ndarray], np.ndarray] = animations.sky,
+    directions: tuple[int, int] = (_POLAR, _AZIMUTHAL),
 ) -> Float[np.ndarray, "2 V 3"]:
-    """Irradiance of an object's vertices, on the front and on the back of its faces."""
+    """Irradiance of an object's vertices, on the front and on the back of its faces.
+
+    Parameters
+    ----------
+    rays
+        Of the object.
+    vertices, faces
+        In the world.
+    lamp
+        Local light.
+    sky
+        Radiance of directions [n, 3], linear RGB.
+    directions
+        To the sky, over the polar angle and the azimuth.
+    """
     normals = vertex_normals(vertices, faces)
-    above, weights = harmonics.hemisphere_rule(_POLAR, _AZIMUTHAL)
-    light = animations.sky(above) * weights[:, None]
+    above, weights = harmonics.hemisphere_rule(*directions)
+    light = sky(above) * weights[:, None]
     total = np.empty((2, len(vertices), 3))
     for k, side in enumerate((1.0, -1.0)):
         facing = np.clip(side * normals @ above.T, 0.0, None)
@@ -135,7 +153,7 @@ def lit(
         total[k] = facing @ light
         # The ground sends some of its light back.
         below = 0.5 * (1.0 - side * normals[:, 2, None])
-        total[k] += below * _open_ground() * GROUND_RGB
+        total[k] += below * open_ground() * GROUND_RGB
         if lamp is not None:
             total[k] += _from_lamp(rays, vertices, side * normals, lamp)
     return total
@@ -221,8 +239,8 @@ def _bilinear(grid: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 
 @functools.cache
-def _open_ground() -> np.ndarray:
-    """Irradiance of the ground under the sky alone."""
+def open_ground() -> np.ndarray:
+    """Irradiance of the ground under the sky of `diffopt.shadows.animations` alone, [3]."""
     above, weights = harmonics.hemisphere_rule(48, 96)
     return (weights * above[:, 2]) @ animations.sky(above)
 

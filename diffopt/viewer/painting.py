@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt8
@@ -11,8 +12,6 @@ from diffopt.kernels import spectrum
 
 #: Samples in a call of a compiled function.
 CHUNK = 2**15
-# The brightest value that the tone curve tells from white.
-_WHITE = 6.0
 
 
 def in_chunks(
@@ -71,14 +70,19 @@ def _decoded() -> np.ndarray:
 _LINEAR = _decoded()
 
 
-def codes(linear: Float[Array, "n 3"], exposure: Any) -> UInt8[Array, "n 3"]:
+def codes(linear: Float[Array, "n 3"], exposure: Any, white: float = 6.0) -> UInt8[Array, "n 3"]:
     """Codes of sRGB of linear values, exposed, with the curve of `diffopt.drawing.tones.tone`.
 
-    Values below 0, out of gamut, become 0. For use within compiled functions.
+    `white` is the least value that becomes white, fixed for each program. Values below 0, out of
+    gamut, become 0. For use within compiled functions.
     """
     rgb = [jnp.maximum(linear[:, k], 0.0) * exposure for k in range(3)]
     brightest = jnp.maximum(jnp.maximum(rgb[0], rgb[1]), rgb[2])
-    peak = jnp.minimum(brightest, _WHITE)
-    factor = peak * (1.0 + peak / _WHITE**2) / ((1.0 + peak) * jnp.maximum(brightest, 1e-12))
+    peak = jnp.minimum(brightest, white)
+    factor = peak * (1.0 + peak / white**2) / ((1.0 + peak) * jnp.maximum(brightest, 1e-12))
     encoded = [jnp.round(255.0 * spectrum.encode_srgb(jnp.clip(c * factor, 0.0, 1.0))) for c in rgb]
     return jnp.stack(encoded, -1).astype(jnp.uint8)
+
+
+#: `codes`, compiled.
+encoded = jax.jit(codes, static_argnums=2)
