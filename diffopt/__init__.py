@@ -39,6 +39,7 @@
 `bands`                three bands in place of the matching functions
 `drawing`              curved surfaces, tones, pictures
 `previews`             what a notebook shows of all these
+`viewer`               looking at all that in a browser
 `cli`                  the command line
 =====================  ==========================================================
 """

@@ -17,6 +17,7 @@
 `render`          ``diffopt render``: their pictures (`render_output`)
 `precompute`      ``diffopt precompute``: transfer into a store (`precompute_tables`)
 `relight`         ``diffopt relight``: pictures by it (`relight_output`)
+`view`            ``diffopt view``: the viewer in a browser
 `shadow`          ``diffopt shadow``: a deforming object and its soft shadow (`film`)
 `inspection`      ``diffopt samples`` and ``diffopt info``
 `limits`          refusal of files that claim to be enormous

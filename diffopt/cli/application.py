@@ -22,6 +22,7 @@ from diffopt.cli import (
     scene,
     shadow,
     studying,
+    view,
 )
 from diffopt.errors import InputError
 
@@ -44,6 +45,7 @@ app.command("render")(render.command)
 app.command("precompute")(precompute.command)
 app.command("relight")(relight.command)
 app.command("shadow")(shadow.command)
+app.command("view")(view.command)
 app.command("demo")(demo.command)
 app.command("accuracy")(studying.accuracy)
 app.add_typer(comparing.app, name="compare")

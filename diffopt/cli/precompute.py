@@ -161,23 +161,11 @@ def _settings(words: dict[str, Any]) -> "TransferSettings":
 def _scene(name: str) -> tuple["SceneFile", list[str]]:
     """A scene file, or an example by its name, without what emits light."""
     import dataclasses
-    import tempfile
 
-    from diffopt.cli.scene import one_line
-    from diffopt.scenes import Scene, examples, load_scene
+    from diffopt.cli.scene import opened
+    from diffopt.scenes import Scene
 
-    path = Path(name)
-    if name in examples.EXAMPLES and not path.exists():
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / f"{name}.toml"
-            path.write_text(examples.text(name))
-            found = load_scene(path)
-    else:
-        if not path.suffix and not path.exists():
-            names = ", ".join(examples.EXAMPLES)
-            raise InputError(f"{name}: no such file, and not the name of an example ({names})")
-        with one_line(path):
-            found = load_scene(path)
+    found = opened(name)
     bright = [one for one in found.scene.objects if one.emission is not None]
     notes = list(found.notes)
     if bright:

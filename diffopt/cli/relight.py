@@ -74,6 +74,7 @@ def command(
     from diffopt.cli import relight_output
     from diffopt.cli.errors import user_input
     from diffopt.cli.render import pixels
+    from diffopt.cli.scene import opened
 
     _numbers({"--turn": turn, "--exposure": exposure})
     _whole("--frames", frames, 1, _MOST_FRAMES)
@@ -89,7 +90,7 @@ def command(
 
         checks.choice("--method", method, lighting.METHODS)
         transfer = store.load(stored)
-        found = _scene(scene)
+        found = opened(scene)
         camera = found.camera
         if resolution is not None:
             camera = dataclasses.replace(camera, resolution=resolution)
@@ -97,7 +98,7 @@ def command(
         if count > _MOST_SAMPLES:
             raise InputError(f"{count} samples in a picture; at most {_MOST_SAMPLES}: --size")
         lit, notes = _lit(found, environment, method)
-        _belongs(stored, transfer, lit)
+        belongs(stored, transfer, lit)
     settings = relight_output.Settings(
         method=method,
         turn=turn,
@@ -153,26 +154,6 @@ def _output(output: Path, alone: bool, extras: dict[str, bool]) -> None:
     asked = [name for name, wanted in extras.items() if wanted]
     if asked:
         raise InputError(f"-o {output}: is one picture; {', '.join(asked)} need a folder")
-
-
-def _scene(name: str) -> "SceneFile":
-    """A scene file, or an example by its name."""
-    import tempfile
-
-    from diffopt.cli.scene import one_line
-    from diffopt.scenes import examples, load_scene
-
-    path = Path(name)
-    if name in examples.EXAMPLES and not path.exists():
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / f"{name}.toml"
-            path.write_text(examples.text(name), encoding="utf-8")
-            return load_scene(path)
-    if not path.suffix and not path.exists():
-        names = ", ".join(examples.EXAMPLES)
-        raise InputError(f"{name}: no such file, and not the name of an example ({names})")
-    with one_line(path):
-        return load_scene(path)
 
 
 def _lit(
@@ -232,7 +213,7 @@ def _lobes(light: Any, notes: list[str]) -> Any:
     return LobeEnvironment(Lobes(jnp.maximum(alpha, 0.0), world, kappa))
 
 
-def _belongs(stored: Path, transfer: "Transfer", body: "Scene") -> None:
+def belongs(stored: Path, transfer: "Transfer", body: "Scene") -> None:
     """Refuse a scene that the transfer is not of."""
     from diffopt.transfer import store, working
 

@@ -180,3 +180,22 @@ def _numbers(values: object) -> str:
     if array.size > 4:
         return f"{array.min():.3g} to {array.max():.3g}"
     return ", ".join(f"{value:.3g}" for value in np.atleast_1d(array))
+
+
+def opened(name: str) -> "SceneFile":
+    """A scene file, or an example by its name."""
+    import tempfile
+
+    from diffopt.scenes import examples, load_scene
+
+    path = Path(name)
+    if name in examples.EXAMPLES and not path.exists():
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / f"{name}.toml"
+            path.write_text(examples.text(name), encoding="utf-8")
+            return load_scene(path)
+    if not path.suffix and not path.exists():
+        names = ", ".join(examples.EXAMPLES)
+        raise InputError(f"{name}: no such file, and not the name of an example ({names})")
+    with one_line(path):
+        return load_scene(path)

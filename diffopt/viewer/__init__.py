@@ -6,10 +6,10 @@
 `building`        tables and programs made in the background
 `subject`         what can be looked at: the interface
 `diffracting`     a diffracting surface on a sheet, a ball (`surfaces`) or a mesh
-`relighting`      precomputed glossy transfer under lights that turn
+`glossy`          precomputed glossy transfer under lights that turn
 `shadowed`        a deforming object with its soft shadow
 `scenery`         any scene, by a plan or a level of image synthesis
-`opening`         from a word or a file to a subject
+`exponents`       of materials, replaced while looking
 `controls`        sliders and menus, and what they take
 `casting`         what a camera sees of a mesh
 `painting`        pixels in chunks of one size

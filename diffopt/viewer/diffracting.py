@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import time
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -20,7 +20,7 @@ from diffopt.scenes import tangents
 from diffopt.scenes.meshfiles import Mesh
 from diffopt.viewer import controls, painting, surfaces
 from diffopt.viewer.casting import Caster, Hits, rays
-from diffopt.viewer.controls import Menu, Slider, Steps, Toggle, Values
+from diffopt.viewer.controls import Control, Menu, Slider, Steps, Toggle, Values
 from diffopt.viewer.subject import Coloured, Look, Row
 
 #: Errors of tables that may be asked for, over a mirror's peak.
@@ -74,7 +74,7 @@ class Diffracting:
         Of the surface, for the title.
     """
 
-    has_colours, turns, takes = True, True, 4
+    has_colours, turns, takes, averages = True, True, 4, False
 
     def __init__(
         self,
@@ -103,7 +103,7 @@ class Diffracting:
         self._own = None if mesh is None else ("mesh", mesh)
         self._up = np.asarray(up, np.float64)
         shapes = ("mesh",) if mesh is not None else SHAPES
-        self.controls = (
+        self.controls: Sequence[Control] = (
             Menu("shape", "shape", shapes, shapes[0]),
             *controls.light_sliders(-60.0, 55.0),
             Slider("turn", "surface turned (°)", -180.0, 180.0, 1.0, 0.0),

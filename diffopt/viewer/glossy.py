@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import time
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -32,7 +32,7 @@ from diffopt.transfer.relighting import Tables
 from diffopt.transfer.settings import KINDS
 from diffopt.viewer import controls, exponents, painting
 from diffopt.viewer.casting import Caster, rays
-from diffopt.viewer.controls import Slider, Steps, Toggle, Values
+from diffopt.viewer.controls import Control, Slider, Steps, Toggle, Values
 from diffopt.viewer.subject import Coloured, Look, Place, Row
 
 #: Shares of the light that may be left out.
@@ -67,7 +67,7 @@ class Glossy:
         For the title.
     """
 
-    has_colours, turns, takes = True, True, 4
+    has_colours, turns, takes, averages = True, True, 4, False
 
     def __init__(self, transfer: Transfer, scene: Scene, camera: Camera, name: str = "scene"):
         found = infinity.from_infinity(scene)
@@ -85,7 +85,7 @@ class Glossy:
         self._to_rgb = channels.rgb(np.eye(channels.count)) if spectral else None
         self._exponent = exponents.first(self.scene)
         hint = "Direct lobes are fitted again; light between surfaces stays as precomputed."
-        self.controls = (
+        self.controls: Sequence[Control] = (
             Slider("turn", "environment turned (°)", -180.0, 180.0, 1.0, 0.0),
             Slider("strength", "parallel light", 0.0, 10.0, 0.1, 0.0, "Irradiance of a sun."),
             *controls.light_sliders(-40.0, 40.0),

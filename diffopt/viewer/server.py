@@ -50,7 +50,7 @@ class Server:
     """
 
     def __init__(self, subject: Subject, host: str = "127.0.0.1", port: int = 8080) -> None:
-        viser = _viser()
+        viser = require()
         _free(host, port)
         self.subject, self.builder = subject, Builder(subject.build)
         self.sessions: dict[int, Session] = {}
@@ -254,7 +254,14 @@ def _camera(client: Any) -> Any:
     return valid_camera(camera.position, axes, float(camera.fov), (columns, rows))
 
 
-def _viser() -> Any:
+def require() -> Any:
+    """The module viser.
+
+    Raises
+    ------
+    InputError
+        If it is not installed: how to install it.
+    """
     try:
         import viser
     except ImportError:

@@ -313,7 +313,9 @@ class Session:
             pixels = self.subject.pixels(self._built, dataclasses.replace(look, camera=camera))
             drawn = time.perf_counter()
             self._per_pixel = 0.5 * (self._per_pixel + (drawn - begun) / (size[0] * size[1]))
-            if look.take and total is not None:
+            if self.subject.averages:
+                total = None
+            elif look.take and total is not None:
                 total = total + pixels
                 pixels = ((total + (look.take + 1) // 2) // (look.take + 1)).astype(np.uint8)
             else:

@@ -2,7 +2,7 @@
 
 import functools
 import time
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -20,7 +20,7 @@ from diffopt.shadows.settings import ShadowSettings
 from diffopt.shadows.shading import irradiance, plane
 from diffopt.viewer import controls, painting
 from diffopt.viewer.casting import Caster, rays
-from diffopt.viewer.controls import Slider, Steps, Toggle, Values
+from diffopt.viewer.controls import Control, Slider, Steps, Toggle, Values
 from diffopt.viewer.subject import Coloured, Look, Place, Row
 
 #: RMS errors of irradiance over the open light that may be asked for.
@@ -51,13 +51,13 @@ class Shadowed:
         Of `diffopt.shadows.animations`.
     """
 
-    has_colours, turns, takes = True, False, 4
+    has_colours, turns, takes, averages = True, False, 4, False
 
     def __init__(self, animation: Animation) -> None:
         self.animation = animation
         self.title = f"{animation.name}: soft shadow of a deforming object"
         self.place = Place((0.6, -6.9, 3.9), (0.0, 0.0, 0.95), field_of_view=31.0)
-        self.controls = (
+        self.controls: Sequence[Control] = (
             Toggle("play", "play", True),
             Slider("phase", "phase", 0.0, 1.0, 0.01, 0.0),
             Slider("speed", "loops per minute", 1.0, 30.0, 1.0, 6.0),

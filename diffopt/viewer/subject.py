@@ -112,6 +112,8 @@ class Subject(Protocol):
         Whether colours of vertices change with the camera.
     takes
         Frames that are averaged when nothing changes.
+    averages
+        Whether a frame is the mean over the takes so far already.
     """
 
     title: str
@@ -120,6 +122,7 @@ class Subject(Protocol):
     has_colours: bool
     turns: bool
     takes: int
+    averages: bool
 
     def moves(self, values: Values) -> bool:
         """Whether frames change by themselves."""
