@@ -5,6 +5,7 @@ times it. Distant light, which is the same everywhere, is projected together wit
 integral of L Y_i Y_j: no triple product remains, and light is not truncated to the bands.
 """
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Any
@@ -76,7 +77,7 @@ def distant_light(radiance: Any, bands: int, nodes: int = _NODES) -> DistantLigh
     InputError
         If the function returns another shape, or what is not finite.
     """
-    directions, weights = harmonics.sphere_rule(nodes, 2 * nodes)
+    directions, weights, values = _rule(nodes)
     found = np.asarray(radiance_function(radiance)(directions), np.float64)
     if found.ndim not in (1, 2) or len(found) != len(directions):
         raise InputError(
@@ -85,11 +86,18 @@ def distant_light(radiance: Any, bands: int, nodes: int = _NODES) -> DistantLigh
         )
     if not np.isfinite(found).all():
         raise InputError("radiance of distant light must be finite")
-    values = harmonics.numpy_basis(directions, ONE_NORMAL)
     found = (found[:, None] if found.ndim == 1 else found) * weights[:, None]
     first = values[: bands**2]
     matrix = np.stack([(first * channel) @ values.T for channel in found.T])
     return DistantLight(jnp.asarray(matrix, jnp.result_type(float)))
+
+
+# Lights that change from frame to frame are projected again and again.
+@functools.lru_cache(maxsize=2)
+def _rule(nodes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Directions, weights and harmonics of a rule over the sphere."""
+    directions, weights = harmonics.sphere_rule(nodes, 2 * nodes)
+    return directions, weights, harmonics.numpy_basis(directions, ONE_NORMAL)
 
 
 def radiance_function(radiance: Any) -> Callable[[np.ndarray], Any]:
