@@ -1,5 +1,7 @@
 """``diffopt view``: scenes and surfaces in a browser, changed while looking."""
 
+import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -89,8 +91,12 @@ def command(
         webbrowser.open(found.url)
     try:
         found.wait()
-    finally:
-        found.close()
+    except KeyboardInterrupt:
+        print("stopped")
+    if not found.close():
+        # A compiler at work cannot be interrupted, and there is nothing to lose.
+        sys.stdout.flush()
+        os._exit(0)
 
 
 def _kind(what: str) -> str:

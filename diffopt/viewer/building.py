@@ -81,6 +81,11 @@ class Builder:
             self._asked.clear()
             self._lock.notify_all()
 
+    def join(self, timeout: float | None = None) -> bool:
+        """Wait for that; whether it came."""
+        self._thread.join(timeout)
+        return not self._thread.is_alive()
+
     def _next(self) -> tuple[str, Hashable] | None:
         for name, key, _ in self._asked.values():
             if key not in self._held.get(name, {}):

@@ -14,7 +14,6 @@ from diffopt.planning.plans import Plan
 from diffopt.rendering.settings import (
     IncrementalSettings,
     PathSettings,
-    RecursiveSettings,
     Settings,
 )
 from diffopt.rendering.synthesis import render
@@ -25,23 +24,21 @@ from diffopt.transfer import infinity
 from diffopt.viewer import controls, exponents
 from diffopt.viewer.controls import Control, Menu, Slider, Steps, Values
 from diffopt.viewer.glossy import place_of
-from diffopt.viewer.subject import Coloured, Look, Row
+from diffopt.viewer.subject import Coloured, Look, Row, StaleError
 
 #: Mean differences of luminance that may be asked for.
 TOLERANCES = (0.3, 0.1, 0.05, 0.03, 0.01)
 _PLAN, _PROGRAMS = "the plan", "programs"
 _PLANNED = "what the plan calls for"
 # One size of tile for all pictures of more pixels: nothing is compiled for another size.
-_RAYS = 2**14
-# Pictures that a plan is made of, and the smallest that is drawn.
+_RAYS = 2**13
+# The picture that a plan is made of.
 _PILOT = (160, 120)
-_LEAST = (160, 104)
 # The plan is made anew when lights have turned by so many degrees.
 _STEP = 30.0
 _BRIGHT = 97.0
 _LEVELS: dict[str, Settings] = {
     "direct light": IncrementalSettings(spp=1, rays=_RAYS),
-    "recursive rays": RecursiveSettings(spp=1, rays=_RAYS),
     "all paths": PathSettings(spp=1, rays=_RAYS),
 }
 
@@ -100,9 +97,9 @@ class Scenery:
             values = {**values, "turn": _STEP * turned, "exponent": exponent}
             camera = dataclasses.replace(self._camera, resolution=_PILOT)
             return plan_of(self._scene(values), camera, tolerance)
-        camera = dataclasses.replace(self._camera, resolution=_LEAST)
+        camera = dataclasses.replace(self._camera, resolution=_filled(self._camera.resolution))
         begun = time.perf_counter()
-        image = self._picture(key, self._scene(values), camera, 0)
+        image = self._picture(key, self._scene(values), Look(values, camera))
         if self._exposure is None:
             self._exposure = tones.exposure(_clipped(image.rgb), _BRIGHT)
         return key, time.perf_counter() - begun
@@ -117,11 +114,18 @@ class Scenery:
             found = exponents.replaced(found, wanted)
         return found
 
-    def _picture(self, key: Any, scene: Scene, camera: Camera, take: int) -> Any:
-        if isinstance(key, Plan):
-            settings = dataclasses.replace(key.paths, spp=1, rays=_RAYS, seed=take)
-            return render(scene, camera, key, settings=settings)
-        return render(scene, camera, settings=dataclasses.replace(_LEVELS[key], seed=take))
+    def _picture(self, key: Any, scene: Scene, look: Look) -> Any:
+        """One sample a pixel; another one for each take."""
+
+        def told(done: int, of: int) -> None:
+            if look.stale():
+                raise StaleError
+
+        planned = isinstance(key, Plan)
+        settings = key.paths if planned else _LEVELS[key]
+        settings = dataclasses.replace(settings, spp=1, rays=_RAYS, seed=look.take)
+        level = key if planned else "path"
+        return render(scene, look.camera, level, settings=settings, progress=told)
 
     def pixels(self, built: Mapping[str, Any], look: Look) -> UInt8[np.ndarray, "h w 3"]:
         """A frame: the mean over one path a pixel of each take so far."""
@@ -130,10 +134,9 @@ class Scenery:
         here = tuple(look.values.get(name) for name in ("turn", "exponent"))
         if memory.get("here") != here:
             memory.update(here=here, scene=self._scene(look.values))
-        columns, rows = camera.resolution
-        size = max(columns, _LEAST[0]), max(rows, _LEAST[1])
-        camera = dataclasses.replace(camera, resolution=size)
-        image = self._picture(key, memory["scene"], camera, look.take)
+        camera = dataclasses.replace(camera, resolution=_filled(camera.resolution))
+        now = dataclasses.replace(look, camera=camera)
+        image = self._picture(key, memory["scene"], now)
         found = np.asarray(image.rgb, np.float32)
         if look.take == 0 or memory["sum"].shape != found.shape:
             memory["sum"] = np.zeros_like(found)
@@ -162,6 +165,15 @@ class Scenery:
             for row in key.rows
         ]
         return [*found, paths, programs]
+
+
+def _filled(resolution: tuple[int, int]) -> tuple[int, int]:
+    """A resolution near another one that fills whole tiles, at least one."""
+    count = max(resolution[0] * resolution[1] // _RAYS, 1) * _RAYS
+    rows = max(round(np.sqrt(count * resolution[1] / resolution[0])), 1)
+    columns = max(count // rows, 1)
+    # Less than a tile would be another program.
+    return (columns + 1, rows) if columns * rows < _RAYS else (columns, rows)
 
 
 def _clipped(rgb: Any) -> np.ndarray:

@@ -78,13 +78,15 @@ class Server:
         shown = f"[{host}]" if ":" in host else host
         self.url = f"http://{'127.0.0.1' if shown in ('0.0.0.0', '[::]') else shown}:{self.port}"
 
-    def close(self) -> None:
-        """Stop serving; sessions end."""
-        for session in list(self.sessions.values()):
+    def close(self, timeout: float = 0.0) -> bool:
+        """Stop serving; sessions end. Whether what was in work has ended within a time, seconds."""
+        sessions = list(self.sessions.values())
+        for session in sessions:
             session.close()
         self.builder.close()
         with contextlib.redirect_stdout(io.StringIO()):
             self._server.stop()
+        return all([session.join(timeout) for session in sessions] + [self.builder.join(timeout)])
 
     def wait(self) -> None:
         """Serve until interrupted."""
@@ -121,6 +123,7 @@ class _Page:
             client.gui.set_panel_label("diffopt")
             client.gui.add_markdown(f"**{title}**")
             self._status = client.gui.add_markdown("…")
+            client.scene.set_background_image(panels.backdrop())
 
     def fill(self, session: Session) -> None:
         """Put the controls into the page."""

@@ -3,7 +3,7 @@
 import dataclasses
 import threading
 import time
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import UInt8
@@ -13,7 +13,7 @@ from diffopt.scenes.camera import Camera
 from diffopt.viewer import controls
 from diffopt.viewer.building import Builder, Failure
 from diffopt.viewer.controls import Menu, Values
-from diffopt.viewer.subject import Coloured, Look, Row, Subject
+from diffopt.viewer.subject import Coloured, Look, Row, StaleError, Subject
 
 #: How a frame reaches the viewer.
 PIXELS, VERTICES = "pixels", "vertices"
@@ -62,6 +62,7 @@ class Times(NamedTuple):
     rate: float
 
 
+@runtime_checkable
 class Screen(Protocol):
     """Where frames are shown; all raise `GoneError` when there is nobody to see them."""
 
@@ -118,7 +119,7 @@ class Session:
         self._faster: str | None = None if subject.has_colours else PIXELS
         self._compared: dict[str, list[float]] = {PIXELS: [], VERTICES: []}
         self._per_pixel = 2e-7
-        self._told = 0.0
+        self._told = -_TELL
         self._stamps: list[float] = []
         self._failure = ""
         self._lock = threading.Condition()
@@ -188,7 +189,7 @@ class Session:
                 version, values, camera = self._version, self._values, self._camera
             ready = self._prepare(values)
             if not self._built:
-                self._say(None, values, camera)
+                self._say(values, camera)
                 self._pause(version)
                 continue
             look = Look(values, camera, clock=time.perf_counter(), memory=self._memory)
@@ -201,12 +202,14 @@ class Session:
                 drawn_for = version
             if moves:
                 continue
-            if not ready or values.get("drawn") == VERTICES:
-                # What was asked for is being built, or there is nothing to refine.
-                done = version if ready else done
+            if not ready:
+                # What was asked for is being built.
+                self._say(values, camera)
                 self._pause(version)
             elif self._rests(version):
-                self._refine(look, version)
+                if values.get("drawn") != VERTICES:
+                    self._refine(look, version)
+                self._say(values, camera, last=True)
                 done = version
 
     def _draft(self, look: Look) -> None:
@@ -235,9 +238,13 @@ class Session:
             if self._version != version or not self._open:
                 return
             inside = _INSIDE[take % len(_INSIDE)]
-            total = self._send(
-                dataclasses.replace(look, take=take, inside=inside), PIXELS, total=total
+            now = dataclasses.replace(
+                look, take=take, inside=inside, stale=lambda: self._version != version
             )
+            try:
+                total = self._send(now, PIXELS, total=total)
+            except StaleError:
+                return
 
     def _pause(self, version: int, seconds: float = _TELL) -> None:
         """Wait until something changes, at most so long."""
@@ -329,7 +336,7 @@ class Session:
         rate = (len(self._stamps) - 1) / elapsed if elapsed > 0.0 else 0.0
         times = Times(way, drawn - begun, shown - drawn, size, rate)
         self.log = [*self.log[-199:], times]
-        self._say(times, look.values, look.camera)
+        self._say(look.values, look.camera)
         return total
 
     def _compare(self, way: str, spent: float) -> None:
@@ -338,9 +345,10 @@ class Session:
             mean = {way: sum(each[1:]) for way, each in self._compared.items()}
             self._faster = min(mean, key=lambda way: mean[way])
 
-    def _say(self, times: Times | None, values: Any, camera: Camera) -> None:
+    def _say(self, values: Values, camera: Camera, last: bool = False) -> None:
+        """The table; not more often than is read, but always after the last frame."""
         now = time.perf_counter()
-        if times is not None and now - self._told < _TELL:
+        if not last and now - self._told < _TELL:
             return
         self._told = now
         work, status = self.builder.work, ""
@@ -352,7 +360,7 @@ class Session:
             status = f"not possible: {self._failure}"
         look = Look(values, camera, memory=self._memory)
         rows = self.subject.rows(self._built, look) if self._built else []
-        self.screen.tell(rows, times, status)
+        self.screen.tell(rows, self.log[-1] if self.log else None, status)
 
 
 def valid_camera(eye: Any, axes: Any, field_of_view: float, resolution: tuple[int, int]) -> Camera:

@@ -1,7 +1,7 @@
 """What can be looked at: the interface between a scene that is computed and whoever shows it."""
 
 import dataclasses
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from jaxtyping import Float, Int, UInt8
@@ -9,6 +9,10 @@ from numpy import ndarray
 
 from diffopt.scenes.camera import Camera
 from diffopt.viewer.controls import Control, Values
+
+
+class StaleError(Exception):
+    """A frame was given up, as something changed while it was drawn."""
 
 
 class Place(NamedTuple):
@@ -84,6 +88,9 @@ class Look:
         Seconds, for what moves.
     memory
         Of this viewer alone: a subject keeps there what changes from frame to frame.
+    stale
+        Whether the frame is wanted no longer; one that takes long asks now and then, and raises
+        `StaleError`.
     """
 
     values: Values
@@ -92,6 +99,7 @@ class Look:
     inside: tuple[float, float] = (0.5, 0.5)
     clock: float = 0.0
     memory: dict[str, Any] = dataclasses.field(default_factory=dict)
+    stale: Callable[[], bool] = lambda: False
 
 
 @runtime_checkable
