@@ -1,10 +1,12 @@
 """The command lines of the pages: options that make them cheap, and those that are parsed only."""
 
+import functools
 import re
 import tomllib
+from pathlib import Path
 from typing import Any
 
-from doc_blocks import ROOT
+from doc_blocks import ROOT, blocks, commands, pages
 
 #: Start of a command line: options added at its end, the last of which wins.
 CHEAP = {
@@ -13,15 +15,16 @@ CHEAP = {
     "diffopt material": "--size 16",
     "diffopt fit lobes gold": "--angle 0 --tolerance 0.5",
     "diffopt fit lobes blinn-phong": "--angle 0,60",
-    "diffopt fit lobes rough-glass": "--angle 30",
+    "diffopt fit lobes rough-glass": "--angle 0,60 --lobes 4",
     "diffopt fit lobes sky": "--lobes 4",
     "diffopt plan": "--size 16x12 --most-spp 4",
     "diffopt render": "--size 16x12",
     "diffopt render cornell.toml --tolerance": "--size 16x12 --most-spp 4",
     "diffopt render balls.toml -o balls.png -o balls.exr": "--size 16x12 --spp 2",
     "diffopt shadow": "--frames 2 --size 16 --picture 32x20 --spp 1",
-    "diffopt precompute": "--tolerance 1 --splits 0 --rays 64 --depth 1 --finest 2",
-    "diffopt relight": "--size 32x24 --samples 1",
+    "diffopt shadow --mesh": "--frames 2 --size 16 --picture 32x20 --spp 1 --bands 4",
+    # The type of the pages' Python, which shares its programs.
+    "diffopt fit heightfield docs": "--dtype float32",
 }
 #: Start of a command line that has to be understood but is not run: why.
 PARSED: dict[str, str] = {
@@ -32,20 +35,37 @@ PARSED: dict[str, str] = {
     "diffopt bench render": "compiles and times renderers: half a minute",
     "diffopt compare": "runs every method of a topic: minutes",
     "diffopt fit heightfield measured.npz": "every height: a fit of its own test",
+    "diffopt fit heightfield scan.sur": "its own test fits scans; the page's other fit is run",
     "diffopt view": "serves until it is stopped",
-    "docs/transfer.md: diffopt precompute": "half a minute; README runs the same",
-    "docs/transfer.md: diffopt relight": "needs its store",
+    "diffopt precompute": "half a minute of compilation; the page's Python does the same",
+    "diffopt relight": "needs the store",
 }
 #: Command lines without arguments that stand for everything; parsed as those above.
 WHOLE = ("diffopt accuracy", "diffopt bench", "diffopt demo")
+
+#: Command lines that write what later lines of their page need: run on every page.
+PROVIDING = ("diffopt scene example",)
 
 _PROGRAMS = ("make", "pip", "python", "mkdocs")
 _EXTRAS = re.compile(r"\.\[([a-z,]+)\]")
 
 
-def parsed_only(line: str, page: str) -> bool:
-    """Whether a command line of a page is not run."""
-    return line in WHOLE or any(a.startswith(b) for a in (line, f"{page}: {line}") for b in PARSED)
+def parsed_only(line: str, page: Path) -> bool:
+    """Whether a command line of a page is not run: too slow, or run for an earlier page."""
+    if line in WHOLE or any(line.startswith(start) for start in PARSED):
+        return True
+    return page != first_pages().get(line, page) and not line.startswith(PROVIDING)
+
+
+@functools.cache
+def first_pages() -> dict[str, Path]:
+    """The first page on which each command line stands."""
+    found: dict[str, Path] = {}
+    for page in pages():
+        for block in blocks(page):
+            for line in commands(block) if block.kind == "console" else ():
+                found.setdefault(line, page)
+    return found
 
 
 def cheap(words: list[str]) -> list[str]:

@@ -90,7 +90,7 @@ def felt(path: Path) -> None:
     import diffopt as do
 
     cloth = do.materials.OrenNayar([0.5, 0.2, 0.2], 0.5)
-    theta, phi = np.radians([0.0, 20.0, 40.0, 60.0, 80.0]), np.radians(np.linspace(0, 180, 7))
+    theta, phi = np.radians([0.0, 40.0, 80.0]), np.radians([0.0, 60.0, 120.0, 180.0])
     do.materials.measure(cloth, theta, theta, phi).save(path)
 
 

@@ -1,7 +1,7 @@
-"""Runs the blocks of one page in order, as a reader would: ``doc_run.py PAGE``.
+"""Runs the blocks of pages in order, as a reader would: ``doc_run.py PAGE...``.
 
-In a process of its own, with the defaults of a user, in an empty folder that holds the files
-that the page names. Exit code 1 and the place of the block where one fails.
+With the defaults of a user, each page in an empty folder that holds the files that it names, with
+names of its own. Exit code 1 where a block fails; what went wrong is on the error stream.
 """
 
 import contextlib
@@ -57,7 +57,7 @@ def console(block: Block, names: dict[str, Any]) -> None:
         words = shlex.split(line)
         if words[0] != "diffopt":
             check_other(line, words)
-        elif parsed_only(line, block.page.relative_to(ROOT).as_posix()):
+        elif parsed_only(line, block.page):
             parse(words[1:])
         else:
             start, out = time.perf_counter(), io.StringIO()
@@ -109,11 +109,21 @@ def keys(tree: Any, above: str = "") -> set[str]:
 RUNNERS = {"python": python, "console": console, "toml": toml, "csv": csv, "json": as_json}
 
 
+def main(given: list[str]) -> int:
+    """Run pages, each in a new folder of the current one."""
+    failed, start = [], Path.cwd()
+    for number, word in enumerate(given):
+        folder = start / str(number)
+        folder.mkdir()
+        os.chdir(folder)
+        try:
+            print("\n".join(run_page((ROOT / word).resolve(), folder)), flush=True)
+        except BaseException:
+            traceback.print_exc()
+            failed.append(word)
+            print(f"{word}: a block failed", file=sys.stderr)
+    return bool(failed)
+
+
 if __name__ == "__main__":
-    target = (ROOT / sys.argv[1]).resolve()
-    try:
-        print("\n".join(run_page(target, Path.cwd())))
-    except BaseException:
-        traceback.print_exc()
-        print(f"{sys.argv[1]}: a block failed", file=sys.stderr)
-        sys.exit(1)
+    sys.exit(main(sys.argv[1:]))
