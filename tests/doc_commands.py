@@ -11,7 +11,6 @@ from doc_blocks import ROOT, blocks, commands, pages
 #: Start of a command line: options added at its end, the last of which wins.
 CHEAP = {
     "diffopt diffraction": "--size 32",
-    "diffopt demo": "--size 48",
     "diffopt material": "--size 16",
     "diffopt fit lobes gold": "--angle 0 --tolerance 0.5",
     "diffopt fit lobes blinn-phong": "--angle 0,60",
