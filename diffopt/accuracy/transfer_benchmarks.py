@@ -62,6 +62,7 @@ def held() -> Tables:
         jnp.zeros((count, 15), jnp.float32),
         locator(_LEVEL),
         3,
+        3,
         glossy=True,
         matte=False,
     )

@@ -55,8 +55,8 @@ class Tables(eqx.Module):
         View-independent slices in the world, in rows as `views`, [V, 3 K (4 + C)].
     find
         Triangles of views around directions.
-    lobes
-        Of all kinds together, 3 K.
+    lobes, matte_lobes
+        Of all kinds together, 3 K: of slices and of view-independent ones.
     glossy, matte
         Whether any vertex has views, and any a view-independent share.
     """
@@ -68,9 +68,10 @@ class Tables(eqx.Module):
     material: Int[Array, " V"]
     over: Reference
     views: Float[Array, "S F"]
-    diffuse: Float[Array, "V F"]
+    diffuse: Float[Array, "V D"]
     find: Locator
     lobes: int = eqx.field(static=True)
+    matte_lobes: int = eqx.field(static=True)
     glossy: bool = eqx.field(static=True)
     matte: bool = eqx.field(static=True)
 
@@ -101,6 +102,7 @@ def tables(transfer: Transfer, dtype: Any = np.float32) -> Tables:
         jnp.asarray(packed, dtype),
         jnp.asarray(_packed(local._replace(mu=world)), jnp.float32),
         locator(max(int(transfer.level.max()), 0)),
+        3 * transfer.lobes,
         3 * transfer.lobes,
         bool((transfer.level >= 0).any()),
         bool(local.alpha.any()),
@@ -233,7 +235,7 @@ def vertex_rows(held: Tables, vertices: Array, wo: Array) -> Float[Array, "n F"]
 
 def matte_radiance(held: Tables, light: Lighting, vertices: Array) -> Float[Array, "n C"]:
     """View-independent radiance of vertices."""
-    return lit_lobes(unpacked(held.diffuse[vertices], held.lobes), light)
+    return lit_lobes(unpacked(held.diffuse[vertices], held.matte_lobes), light)
 
 
 @eqx.filter_jit

@@ -11,6 +11,8 @@ from diffopt.scenes.camera import Camera
 
 # The bounding sphere is taken this much larger: rays that graze it are cast.
 _MARGIN = 1.001
+# Farther away, in radii, float32 does not tell rays past it from others.
+_FAR = 300.0
 
 
 class Hits(NamedTuple):
@@ -65,7 +67,7 @@ class Caster:
         turn = camera.matrix[:3, :3]
         eye = (np.asarray(camera.eye) - self.centre) / self.radius
         distance = float(np.linalg.norm(eye))
-        if distance > _MARGIN:
+        if _MARGIN < distance < _FAR:
             # Rays past the bounding sphere meet nothing.
             least = math.sqrt(1.0 - (_MARGIN / distance) ** 2)
             middle = (turn.T @ (-eye / distance)).astype(np.float32)

@@ -351,12 +351,7 @@ def reduced(tables: Tables, kept: tuple[str, ...]) -> Tables:
     if tables.glossy and kinds and len(kinds) < len(KINDS):
         each = tables.lobes // len(KINDS)
         rows = tables.views.reshape(len(tables.views), len(KINDS), -1)[:, jnp.asarray(kinds)]
-        matte = tables.diffuse.reshape(len(tables.diffuse), len(KINDS), -1)
-        found = eqx.tree_at(
-            lambda t: (t.views, t.diffuse),
-            found,
-            (rows.reshape(len(rows), -1), matte[:, jnp.asarray(kinds)].reshape(len(matte), -1)),
-        )
+        found = eqx.tree_at(lambda t: t.views, found, rows.reshape(len(rows), -1))
         found = dataclasses.replace(found, lobes=each * len(kinds))
     glossy = tables.glossy and bool(kinds)
     return dataclasses.replace(

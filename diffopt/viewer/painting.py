@@ -70,7 +70,7 @@ def _decoded() -> np.ndarray:
 _LINEAR = _decoded()
 
 
-def codes(linear: Float[Array, "n 3"], exposure: Any, white: float = 6.0) -> UInt8[Array, "n 3"]:
+def codes(linear: Any, exposure: Any, white: float = 6.0) -> UInt8[Array, "n 3"]:
     """Codes of sRGB of linear values, exposed, with the curve of `diffopt.drawing.tones.tone`.
 
     `white` is the least value that becomes white, fixed for each program. Values below 0, out of

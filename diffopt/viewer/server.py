@@ -65,12 +65,12 @@ class Server:
         first.position, first.look_at, first.up = place.eye, place.target, place.up
         first.fov = float(np.radians(place.field_of_view))
         self._server.gui.configure_theme(
-            control_layout="collapsible",
             control_width="large",
             dark_mode=True,
             show_logo=False,
             show_share_button=False,
         )
+        self._server.gui.main_panel.dock_right()
         self._server.scene.set_up_direction(place.up)
         self._server.on_client_connect(self._connected)
         self._server.on_client_disconnect(self._left)
