@@ -10,7 +10,9 @@ from doc_blocks import ROOT, blocks, commands, pages
 
 #: Start of a command line: options added at its end, the last of which wins.
 CHEAP = {
-    "diffopt diffraction": "--size 32",
+    # All of one shape, which shares its programs.
+    "diffopt diffraction": "--size 32 --coherence 1.25 --incidence 30 --material al",
+    "diffopt diffraction photo": "--size 32 --coherence 1.25 --pixel-size 0.08 --height-range 0.12",
     "diffopt material": "--size 16",
     "diffopt fit lobes gold": "--angle 0 --tolerance 0.5",
     "diffopt fit lobes blinn-phong": "--angle 0,60",
@@ -36,6 +38,7 @@ PARSED: dict[str, str] = {
     "diffopt fit heightfield measured.npz": "every height: a fit of its own test",
     "diffopt fit heightfield scan.sur": "its own test fits scans; the page's other fit is run",
     "diffopt view": "serves until it is stopped",
+    "diffopt shadow --scene creature --parts": "compiles for another number of fields",
     "diffopt precompute": "half a minute of compilation; the page's Python does the same",
     "diffopt relight": "needs the store",
 }
