@@ -62,8 +62,9 @@ def settled(page, session):
     return browsing.pixels(page, CANVAS)
 
 
-def slider(page, name):
-    return page.get_by_text(name, exact=False).first.locator("xpath=../..").get_by_role("slider")
+def control(page, name):
+    """The row of the panel with a label."""
+    return page.locator("label", has_text=name).first.locator("xpath=../../..")
 
 
 def test_the_page_shows_the_object_and_what_is_in_it(running, chromium):
@@ -84,7 +85,7 @@ def test_the_page_shows_the_object_and_what_is_in_it(running, chromium):
 def test_a_slider_changes_the_picture(running, chromium):
     with viewing(chromium, running) as (page, session):
         before, was = settled(page, session), session.values["azimuth"]
-        handle = slider(page, "light azimuth")
+        handle = control(page, "light azimuth").get_by_role("slider")
         handle.focus()
         for _ in range(15):
             page.keyboard.press("ArrowRight")
@@ -142,10 +143,9 @@ def test_one_that_vanishes_in_the_middle_of_a_frame_leaves_the_others(running, c
 def test_a_value_that_is_typed_wrongly_is_not_taken(running, chromium):
     with viewing(chromium, running) as (page, session):
         settled(page, session)
-        box = page.get_by_text("heights", exact=False).first.locator("xpath=../..").locator("input")
+        box = control(page, "heights ×").get_by_role("textbox")
         for words in ("-4", "900", "1e999", "much"):
-            box.last.fill("")
-            box.last.type(words)
+            box.fill(words)
             page.keyboard.press("Enter")
             page.wait_for_timeout(300)
             assert 0.1 <= session.values["depth"] <= 3.0

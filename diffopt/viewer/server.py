@@ -54,6 +54,7 @@ class Server:
         _free(host, port)
         self.subject, self.builder = subject, Builder(subject.build)
         self.sessions: dict[int, Session] = {}
+        self._gone: dict[int, threading.Event] = {}
         self._lock = threading.Lock()
         # It prints a banner of its own.
         with contextlib.redirect_stdout(io.StringIO()):
@@ -93,7 +94,8 @@ class Server:
         threading.Event().wait()
 
     def _connected(self, client: Any) -> None:
-        screen = _Page(client, self.subject.title)
+        gone = threading.Event()
+        screen = _Page(client, self.subject.title, gone)
         session = Session(self.subject, self.builder, screen, _camera(client))
         screen.fill(session)
 
@@ -104,20 +106,23 @@ class Server:
 
         with self._lock:
             self.sessions[client.client_id] = session
+            self._gone[client.client_id] = gone
         session.start()
 
     def _left(self, client: Any) -> None:
         with self._lock:
             session = self.sessions.pop(client.client_id, None)
-        if session is not None:
+            gone = self._gone.pop(client.client_id, None)
+        if session is not None and gone is not None:
+            gone.set()
             session.close()
 
 
 class _Page:
     """The screen of one browser."""
 
-    def __init__(self, client: Any, title: str) -> None:
-        self._client = client
+    def __init__(self, client: Any, title: str, gone: threading.Event) -> None:
+        self._client, self._gone = client, gone
         self._mesh: Any = None
         with client.atomic():
             client.gui.set_panel_label("diffopt")
@@ -177,9 +182,12 @@ class _Page:
 
     @contextlib.contextmanager
     def _alive(self) -> Any:
+        if self._gone.is_set():
+            raise GoneError("the page was closed")
         try:
             yield
-        except (RuntimeError, TimeoutError, OSError) as error:
+        except (RuntimeError, TimeoutError, OSError, Warning) as error:
+            # Between the check and here it may have been closed; viser warns of that.
             raise GoneError(str(error)) from None
 
 
