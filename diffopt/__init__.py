@@ -40,6 +40,7 @@
 `drawing`              curved surfaces, tones, pictures
 `previews`             what a notebook shows of all these
 `viewer`               looking at all that in a browser
+`report`               one page of what was computed just now
 `cli`                  the command line
 =====================  ==========================================================
 """

@@ -5,7 +5,7 @@
 `options`         from the words of options to scans, models and jobs
 `diffraction`     ``diffopt diffraction``: pictures and numbers of one scan
 `results`         its ``result.npz`` and ``result.json``
-`demo`            ``diffopt demo``: all pictures of an embedded disc, as a page
+`demo`            ``diffopt demo``: some of everything, as one page
 `material`        ``diffopt material``: pictures and properties of a material
 `studying`        ``diffopt accuracy`` and ``diffopt bench``
 `comparing`       ``diffopt compare``; apart from it `comparing_levels`, `comparing_plans`,
