@@ -43,6 +43,14 @@ def test_there_are_notebooks():
     assert {p.stem for p in NOTEBOOKS} == texts
 
 
+def test_the_readme_lists_them_all():
+    rows = re.findall(
+        r"^\| \[(\w+)\]\((\w+)\.ipynb\) \|", (FOLDER / "README.md").read_text(), re.MULTILINE
+    )
+    assert all(name == file for name, file in rows)
+    assert sorted(name for name, _ in rows) == [p.stem for p in NOTEBOOKS]
+
+
 @each_notebook
 def test_both_forms_hold_the_same_cells(path):
     text, notebook = read(path.with_suffix(".md")), read(path)
