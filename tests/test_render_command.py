@@ -1,6 +1,7 @@
 """``diffopt render`` and ``diffopt scene``, run in this process."""
 
 import json
+import sys
 
 import numpy as np
 import PIL.Image
@@ -167,3 +168,16 @@ def test_examples_are_written_once(tmp_path, capsys, monkeypatch):
     assert "cornell.toml: is there already; name another file with -o" in capsys.readouterr().err
     assert main(["scene", "example", "bunny"]) == 2
     assert "NAME must be one of cornell, balls, disc, lamp, teapot" in capsys.readouterr().err
+
+
+def test_exr_without_its_package_is_refused_before_anything_is_rendered(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setitem(sys.modules, "OpenEXR", None)
+    monkeypatch.setattr("diffopt.rendering.synthesis.render", None)
+    target = tmp_path / "a.exr"
+    assert main(["scene", "example", "lamp", "-o", str(tmp_path / "lamp.toml")]) == 0
+    assert main(["render", str(tmp_path / "lamp.toml"), "-o", str(target)]) == 2
+    error = capsys.readouterr().err
+    assert "a.exr: .exr needs OpenEXR: pip install OpenEXR (extra exr), or save as .npz" in error
+    assert not target.exists()

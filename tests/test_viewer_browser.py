@@ -203,5 +203,5 @@ def test_without_viser_the_command_says_how_to_get_it():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 2
-    assert "pip install 'diffopt-optics[view]'" in done.stderr
+    assert "the viewer needs viser: pip install viser" in done.stderr
     assert done.stderr.count("\n") == 1

@@ -72,6 +72,7 @@ def command(
     from diffopt.cli.errors import user_input
     from diffopt.cli.progress import terminal
     from diffopt.cli.scene import one_line
+    from diffopt.io.files import openexr
     from diffopt.rendering.images import FORMATS
     from diffopt.scenes import load_scene
 
@@ -83,6 +84,8 @@ def command(
             raise InputError(f"-o {target}: the folder {target.parent} does not exist")
         if target.is_dir():
             raise InputError(f"-o {target}: is a folder; expected a file")
+        if target.suffix.lower() == ".exr":
+            openexr(target, "as .npz")  # or what takes minutes would be lost
     if exposure is not None and not 0.0 < exposure < float("inf"):
         raise InputError(f"--exposure must be a factor above 0; received {exposure:g}")
     of_plan = {"--with": include, "--without": exclude, "--most-spp": most_spp}

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import IO
 
-from diffopt.errors import InputError
+from diffopt.errors import InputError, missing
 
 # First bytes of common files, for error texts that say what a renamed file really is.
 _SIGNATURES = (
@@ -108,10 +108,7 @@ def openexr(path: str | os.PathLike, instead: str) -> ModuleType:
     try:
         return importlib.import_module("OpenEXR")
     except ImportError:
-        raise InputError(
-            f"{path}: .exr needs the package OpenEXR: pip install 'diffopt-optics[exr]', or save "
-            f"{instead}"
-        ) from None
+        raise missing(f"{path}: .exr", "OpenEXR", "exr", f", or save {instead}") from None
 
 
 def one_line(error: BaseException | str, limit: int = 160) -> str:

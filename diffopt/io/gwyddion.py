@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from diffopt.errors import InputError
+from diffopt.errors import InputError, missing
 from diffopt.io.files import one_line, require_signature
 from diffopt.io.record import Options, Record
 from diffopt.io.units import is_length, to_micrometres
@@ -31,9 +31,7 @@ def read_gwy(path: Path, options: Options) -> Record:
     try:
         import gwyfile
     except ImportError as error:
-        raise InputError(
-            f"{path}: reading .gwy needs gwyfile: pip install '.[gwy]' in the checkout"
-        ) from error
+        raise missing(f"{path}: .gwy", "gwyfile", "gwy") from error
 
     require_signature(path, (_MAGIC,), "a Gwyddion file (.gwy)")
     options.refuse(path, "the file states its heights", "height_range", "height_unit")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from diffopt.errors import InputError
+from diffopt.errors import InputError, missing
 from diffopt.io.files import describe, one_line
 from diffopt.io.record import Options, Record
 from diffopt.io.units import is_length, to_micrometres
@@ -41,10 +41,8 @@ def read_instrument(path: Path, options: Options) -> Record:
         try:
             from SurfaceTopography.IO import open_topography
         except ImportError as error:
-            raise InputError(
-                f"{path}: {describe(path)}; instrument files need SurfaceTopography: "
-                "pip install '.[afm]' in the checkout"
-            ) from error
+            what = f"{path}: {describe(path)}, which"
+            raise missing(what, "SurfaceTopography", "afm") from error
         # The import itself warns that it runs without MPI, which is meant so.
         caught.clear()
         try:

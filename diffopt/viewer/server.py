@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from diffopt.errors import InputError
+from diffopt.errors import InputError, missing
 from diffopt.viewer import gltf, panels
 from diffopt.viewer.building import Builder
 from diffopt.viewer.controls import Control, Menu, Slider, Steps, Toggle
@@ -276,10 +276,7 @@ def require() -> Any:
     try:
         import viser
     except ImportError:
-        raise InputError(
-            "the viewer needs viser: pip install 'diffopt-optics[view]' (in a checkout: "
-            "pip install -c constraints.txt '.[view]')"
-        ) from None
+        raise missing("the viewer", "viser", "view") from None
     return viser
 
 
