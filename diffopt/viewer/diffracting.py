@@ -98,8 +98,8 @@ class Diffracting:
                 f"{name}: a patch of {min(scan.extent):g} um with pixels of {max(scan.pixel):g} um "
                 "is too small to be looked at; expected 16 pixels at least"
             )
-        step = 10.0 ** math.floor(math.log10(most - least) - 1.0)
-        least, most = (round(x / step) * step for x in (least, most))
+        step = 10.0 ** (math.floor(math.log10(most - least)) - 2)
+        least, most = (round(round(x / step) * step, 6) for x in (least, most))
         self._own = None if mesh is None else ("mesh", mesh)
         self._up = np.asarray(up, np.float64)
         shapes = ("mesh",) if mesh is not None else SHAPES
