@@ -16,7 +16,7 @@ FLOAT32 = tests/test_lookup.py tests/test_methods.py::test_float32_carries_deep_
 	tests/test_methods.py::test_float32_refuses_what_it_cannot_carry \
 	tests/test_materials.py
 
-.PHONY: demo test lint docs notebooks clean
+.PHONY: demo test lint docs clean
 
 demo: $(VENV)/installed
 	$(RUN) -m diffopt demo -o out/demo
