@@ -9,8 +9,8 @@ normalisation to a unit mean: a flat mirror at its specular direction gives |P|^
 Sample positions are ``x_i = (i - nx // 2) dx``, ``y_j = (j - ny // 2) dy``.
 Complex numbers are pairs (real, imaginary) on an axis of length two.
 
-Both intensities carry their closed-form derivative (spec of Stam's model:
-``d|P|^2/dh_ji = 2 Re(P* 2 pi i s a_y p_ji a_x)``) as a custom derivative, valid in forward
+Both intensities carry their closed form
+``d|P|^2/dh_ji = 2 Re(P* 2 pi i s a_y p_ji a_x)`` as a custom derivative, valid in forward
 and in reverse mode; a loop over many evaluations recomputes it and stores nothing of the
 size of the heightfield per evaluation.
 """

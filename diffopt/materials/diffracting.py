@@ -72,7 +72,7 @@ class Diffraction(_Coherent):
     texture
         Diffuse albedo under the diffracting surface, a number or channels [L]; None for none.
         The two are mixed by the relative reflectance rho (a mirror's is 1 at its peak) as in
-        Singh's thesis on diffraction shading (2014): f + (1 - min(rho, 1)) texture / pi.
+        M. Single's thesis on diffraction shading (2014): f + (1 - min(rho, 1)) texture / pi.
         Needs spectral values.
 
     Raises
