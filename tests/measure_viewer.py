@@ -41,7 +41,7 @@ def subjects(words):
 def measured(name, subject, slider):
     server = Server(subject, port=0)
     with browsing.browser() as found:
-        page, _ = browsing.opened(found, server.url, WINDOW)
+        page, _ = browsing.opened(found, server.url + "/?fixedDpr=1", WINDOW)
         begun = time.perf_counter()
         browsing.wait_for(page, lambda: server.sessions, what="a session")
         session = next(iter(server.sessions.values()))
@@ -65,13 +65,16 @@ def measured(name, subject, slider):
             half = statistics.median(taken)
             page.mouse.move(400, 500)
             page.mouse.down()
-            frames = turning(page, session)
+            frames, rate_ = turning(page, session)
             page.mouse.up()
-            last = session.log[-1]
+            drawn, shown = (
+                1e3 * statistics.median(getattr(frame, name) for frame in frames)
+                for name in ("drawn", "shown")
+            )
             print(
                 f"  {way:8}: slider to picture {1e3 * half:.0f} ms ({1e3 * taken[0]:.0f} .. "
-                f"{1e3 * taken[-1]:.0f}); turning {frames:.1f} frames/s of {last.size}, "
-                f"{1e3 * last.drawn:.0f} ms to compute, {1e3 * last.shown:.0f} ms to the browser"
+                f"{1e3 * taken[-1]:.0f}); turning {rate_:.1f} frames/s, at the end of "
+                f"{frames[-1].size}, medians {drawn:.0f} ms to compute, {shown:.0f} ms to show"
             )
             page.wait_for_timeout(3000)
             if way == PIXELS:
@@ -91,28 +94,28 @@ def moved(page, session):
 
 
 def turning(page, session, seconds=4.0):
-    seen, begun, k = {id(session.log[-1])}, time.perf_counter(), 0
-    frames = 0
-    while time.perf_counter() - begun < seconds:
-        k += 1
-        page.mouse.move(400 + (7 * k) % 500, 500 - (3 * k) % 200)
-        page.wait_for_timeout(4)
-        fresh = [t for t in session.log if id(t) not in seen]
-        frames += len(fresh)
-        seen.update(map(id, fresh))
-    return frames / (time.perf_counter() - begun)
+    """Frames while the camera is turned, and how many a second."""
+    return followed(page, session, seconds, 4, turn=True)
 
 
 def rate(page, session, seconds):
     page.wait_for_timeout(2000)
-    seen, begun = set(map(id, session.log)), time.perf_counter()
-    frames = 0
+    return followed(page, session, seconds, 20)[1]
+
+
+def followed(page, session, seconds, wait, turn=False):
+    # Frames are compared by identity, and kept so that none gets the identity of another.
+    last, begun, k, frames = session.log[-1], time.perf_counter(), 0, []
     while time.perf_counter() - begun < seconds:
-        page.wait_for_timeout(20)
-        fresh = [t for t in session.log if id(t) not in seen]
-        frames += len(fresh)
-        seen.update(map(id, fresh))
-    return frames / (time.perf_counter() - begun)
+        k += 1
+        if turn:
+            page.mouse.move(400 + (7 * k) % 500, 500 - (3 * k) % 200)
+        page.wait_for_timeout(wait)
+        log = session.log
+        place = next((n for n, t in enumerate(log) if t is last), -1)
+        frames += log[place + 1 :]
+        last = log[-1]
+    return frames, len(frames) / (time.perf_counter() - begun)
 
 
 if __name__ == "__main__":

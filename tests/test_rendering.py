@@ -387,3 +387,15 @@ def test_paths_of_one_chunk_are_reproducible_by_hand():
     image = rendering.render(scene, CAMERA, settings=settings)
     np.testing.assert_array_equal(np.asarray(found.radiance).reshape(16, 24, 3), image.radiance)
     assert len(shading.blocks(np.arange(384), 384)) == 1
+
+
+def test_a_light_that_rendering_does_not_know_is_refused():
+    """It would be black otherwise, without a word."""
+
+    class Torch(scenes.lights.Light):
+        pass
+
+    scene = ball_on_floor(Lambert(0.5), [Torch()])
+    for level in ("recursive", "path"):
+        with pytest.raises(InputError, match="received Torch, which rendering does not know"):
+            rendering.render(scene, CAMERA, level, spp=1)

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from diffopt.errors import InputError
 from diffopt.kernels.frames import dot
 from diffopt.lobes import Lobes
 from diffopt.rendering.families import Beams, Drawn, Family, LobeSky, Points, Sky, Surfaces
@@ -121,6 +122,12 @@ def gather(scene: Scene, dtype: Any) -> Sources:
                 families.append(Sky(sky.Map(light, channels, dtype)))
             else:
                 constant = values("radiance", light.radiance) * light.scale.astype(dtype)
+        else:
+            known = "Ambient, Directional, Point, Flood, Environment, LobeEnvironment"
+            raise InputError(
+                f"lights must be of {known}; received {type(light).__name__}, which rendering "
+                "does not know"
+            )
     if beams:
         families.append(Beams(*(jnp.stack(part) for part in zip(*beams, strict=True))))
     if points:

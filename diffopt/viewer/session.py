@@ -30,6 +30,8 @@ _REST = 0.15
 _TELL = 0.25
 # Where in their pixels the rays of takes go: a rotated grid.
 _INSIDE = ((0.5, 0.5), (0.375, 0.125), (0.875, 0.375), (0.125, 0.625), (0.625, 0.875))
+# Pixels show more than colours of vertices, which must be so many times as fast to be taken.
+_CLEARLY = 1.5
 # Frames by which both ways are compared, after one each that does not count.
 _COMPARED = 3
 
@@ -195,7 +197,8 @@ class Session:
             look = Look(values, camera, clock=time.perf_counter(), memory=self._memory)
             moves = self.subject.moves(values)
             if self._comparing(values):
-                self._send(look, self._way(values))
+                # As they would be in motion.
+                self._send(look, self._way(values), self._coarse(camera))
                 continue
             if moves or version != drawn_for:
                 self._draft(look)
@@ -342,8 +345,9 @@ class Session:
     def _compare(self, way: str, spent: float) -> None:
         self._compared[way].append(spent)
         if min(map(len, self._compared.values())) > _COMPARED:
-            mean = {way: sum(each[1:]) for way, each in self._compared.items()}
-            self._faster = min(mean, key=lambda way: mean[way])
+            spent_by = {way: sum(each[1:]) for way, each in self._compared.items()}
+            clearly = _CLEARLY * spent_by[VERTICES] < spent_by[PIXELS]
+            self._faster = VERTICES if clearly else PIXELS
 
     def _say(self, values: Values, camera: Camera, last: bool = False) -> None:
         """The table; not more often than is read, but always after the last frame."""
