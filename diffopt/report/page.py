@@ -102,7 +102,7 @@ nav, footer { font-size: 0.9rem; }
 footer { border-top: 1px solid rgba(128,128,128,0.35); padding-top: 1.2rem; overflow-x: auto; }
 .grid { display: grid; gap: 1.2rem;
   grid-template-columns: repeat(auto-fit, minmax(min(20rem, 100%), 1fr)); margin: 0.6rem 0; }
-figure { margin: 0; min-width: 0; }
+figure { margin: 0; min-width: 0; max-width: 42rem; }
 figure img { width: 100% !important; border-radius: 4px; }
 figcaption { font-size: 0.85rem; margin-top: 0.35rem; opacity: 0.85; }
 img { max-width: 100%; height: auto; }

@@ -17,7 +17,7 @@ _PHASES = (0.1, 0.45, 0.8)
 _TURNS = (0.0, 100.0, 200.0)
 
 
-def planned(width: int, tolerance: float = 0.05) -> Section:
+def planned(width: int, tolerance: float = 0.1) -> Section:
     """The scene of balls by a plan."""
     import tempfile
     from pathlib import Path
