@@ -111,10 +111,10 @@ def radiance(
         Which samples it reaches, [n].
     """
     towards = [light[k] - near * seen.position[k] for k in range(3)]
-    length = jnp.sqrt(_dot(towards, towards))
+    length = jnp.sqrt(dot(towards, towards))
     towards = [c / length for c in towards]
     axes = (seen.tangent, seen.across, seen.normal)
-    wi = _turned([_dot(list(axis), towards) for axis in axes], turn)
+    wi = _turned([dot(list(axis), towards) for axis in axes], turn)
     wo = _turned(list(seen.eye), turn)
     dtype = table.coefficients.dtype
     pairs = (jnp.stack(w, axis=-1).astype(dtype) for w in (wi, wo))
@@ -126,8 +126,8 @@ def radiance(
 
 def display(held: Film, xyz: Coordinates) -> Coordinates:
     """Linear sRGB in gamut, as `tones.display` and `diffopt.kernels.spectrum.desaturate`."""
-    rgb = [_dot(list(row), xyz) for row in held.to_rgb]
-    grey = jnp.maximum(_dot(list(held.luminance), rgb), 0.0)
+    rgb = [dot(list(row), xyz) for row in held.to_rgb]
+    grey = jnp.maximum(dot(list(held.luminance), rgb), 0.0)
     kept = jnp.ones_like(grey)
     for c in rgb:
         outside = c < 0.0
@@ -142,5 +142,6 @@ def _turned(local: Coordinates, turn: Array) -> Coordinates:
     return [cos * x - sin * y, cos * y + sin * x, z]
 
 
-def _dot(a: Coordinates, b: Coordinates) -> Array:
+def dot(a: Coordinates, b: Coordinates) -> Array:
+    """Products summed over the three coordinates."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -88,7 +88,7 @@ class Stage:
             Local light.
         """
         ground = np.clip(_bilinear(irradiance, self._ground), 0.0, None) * GROUND_RGB / np.pi
-        factor = _EXPOSED / _luminance(open_ground() * GROUND_RGB / np.pi)
+        factor = _EXPOSED / luminance(open_ground() * GROUND_RGB / np.pi)
         shown = self._shown[:, None]
         linear = factor * ground * shown + (1.0 - shown) * self._back
         rays = Rays(vertices, faces)
@@ -245,5 +245,6 @@ def open_ground() -> np.ndarray:
     return (weights * above[:, 2]) @ animations.sky(above)
 
 
-def _luminance(rgb: np.ndarray) -> float:
+def luminance(rgb: np.ndarray) -> float:
+    """Of linear RGB with the primaries of sRGB."""
     return float(rgb @ [0.2126, 0.7152, 0.0722])

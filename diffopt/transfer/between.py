@@ -64,7 +64,7 @@ def met(
     """
     matte = relighting.matte_radiance(held, light, vertices) if held.matte else None
     return Met(
-        relighting.vertex_rows(held, vertices, _towards(held, vertices, eye)),
+        relighting.vertex_rows(held, vertices, towards(held, vertices, eye)),
         matte,
         held.material[vertices],
     )
@@ -103,7 +103,8 @@ def shaded(
     return value
 
 
-def _towards(held: Tables, vertices: Array, eye: Array) -> Float[Array, "n 3"]:
+def towards(held: Tables, vertices: Array, eye: Array) -> Float[Array, "n 3"]:
+    """Unit vectors from vertices to an eye."""
     away = eye[None] - held.position[vertices]
     return away / jnp.sqrt(jnp.maximum(dot(away, away), 1e-30))[:, None]
 
@@ -119,7 +120,7 @@ def _samples(
 ) -> Array:
     """Radiance of samples, [P, C]."""
     if not per_pixel or not held.glossy:
-        each = relighting.vertex_radiance(held, light, vertices, _towards(held, vertices, eye))
+        each = relighting.vertex_radiance(held, light, vertices, towards(held, vertices, eye))
         parts = [shares[:, k : k + 1] * each[corners[:, k]] for k in range(3)]
         return parts[0] + parts[1] + parts[2]
     known = met(held, light, vertices, eye)

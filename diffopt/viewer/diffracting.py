@@ -40,12 +40,6 @@ _TABLE, _BAKED = "the table of colours", ("coherence", "depth", "tolerance")
 _NEUTRAL = np.array([92, 92, 92], np.uint8)
 
 
-class Skin(eqx.Module):
-    """Vertices on the device: position, normal and tangent side by side, [V, 9]."""
-
-    rows: Float[Array, "V 9"]
-
-
 class Baked(eqx.Module):
     """A table with all that a frame needs of it."""
 
@@ -100,7 +94,7 @@ class Diffracting:
             )
         step = 10.0 ** (math.floor(math.log10(most - least)) - 2)
         least, most = (round(round(x / step) * step, 6) for x in (least, most))
-        self._own = None if mesh is None else ("mesh", mesh)
+        self._own = mesh
         self._up = np.asarray(up, np.float64)
         shapes = ("mesh",) if mesh is not None else SHAPES
         self.controls: Sequence[Control] = (
@@ -121,17 +115,17 @@ class Diffracting:
             Slider("exposure", "exposure (stops)", -4.0, 4.0, 0.1, 0.0),
             Toggle("shadows", "self-shadows", mesh is not None),
         )
-        self._meshes: dict[str, tuple[Mesh, np.ndarray, Caster, Skin]] = {}
+        self._meshes: dict[str, tuple[Mesh, Caster, Array]] = {}
         # For another shape the table is the same.
         self._last: tuple[Any, Baked | None] = None, None
         whole = self._mesh(shapes[0])[0]
         self.place = surfaces.place(whole, self._up, mesh is not None)
 
-    def _mesh(self, shape: str) -> tuple[Mesh, np.ndarray, Caster, Skin]:
-        """A mesh, directions of the material's x axis, its rays, and what programs read of it."""
+    def _mesh(self, shape: str) -> tuple[Mesh, Caster, Array]:
+        """A mesh, its rays, and position, normal and tangent of its vertices, [V, 9]."""
         if shape not in self._meshes:
             if self._own is not None:
-                mesh = self._own[1]
+                mesh = self._own
                 field = (
                     tangents.around(mesh, self._up)
                     if mesh.uv is None
@@ -140,8 +134,8 @@ class Diffracting:
             else:
                 mesh, field = surfaces.sheet() if shape == "sheet" else surfaces.ball()
             rows = np.concatenate([mesh.vertices, mesh.normals, field], -1)
-            skin = Skin(jnp.asarray(rows, jnp.float32))
-            self._meshes[shape] = mesh, field, Caster(mesh.vertices, mesh.faces), skin
+            skin = jnp.asarray(rows, jnp.float32)
+            self._meshes[shape] = mesh, Caster(mesh.vertices, mesh.faces), skin
         return self._meshes[shape]
 
     def moves(self, values: Values) -> bool:
@@ -192,7 +186,7 @@ class Diffracting:
     def _exposed(self, baked: Baked) -> float:
         """Exposure at first, by vertices of the first shape; it stays as the light moves."""
         first = controls.initial(self.controls)
-        _, _, _, skin = self._mesh(first["shape"])
+        skin = self._mesh(first["shape"])[-1]
         light = np.asarray(controls.light_direction(first, self._axis), np.float32)
         eye = np.asarray(self.place.eye, np.float32)
         rgb, bright = _linear(baked, skin, eye, light, np.float32(0.0))
@@ -211,7 +205,7 @@ class Diffracting:
     def pixels(self, built: Mapping[str, Any], look: Look) -> UInt8[np.ndarray, "h w 3"]:
         """A frame: the table at every pixel."""
         (shape, *_), baked = built[_TABLE]
-        mesh, _, caster, skin = self._mesh(shape)
+        mesh, caster, skin = self._mesh(shape)
         eye, light, turn = self._scene(look)
         hits = caster(look.camera, look.inside)
         rows, columns = look.camera.shape
@@ -250,7 +244,7 @@ class Diffracting:
     def colours(self, built: Mapping[str, Any], look: Look) -> Coloured:
         """A frame: the table at every vertex; nothing casts a shadow."""
         (shape, *_), baked = built[_TABLE]
-        mesh, _, _, skin = self._mesh(shape)
+        mesh, _, skin = self._mesh(shape)
         eye, light, turn = self._scene(look)
         stops = np.float32(2.0 ** look.values["exposure"])
         found = np.asarray(_vertices(baked, skin, eye, light, turn, stops))
@@ -279,7 +273,7 @@ class Diffracting:
 @eqx.filter_jit
 def _seen(
     baked: Baked,
-    skin: Skin,
+    skin: Array,
     corners: Any,
     shares: Any,
     lit: Any,
@@ -288,32 +282,30 @@ def _seen(
     turn: Any,
     stops: Any,
 ) -> UInt8[Array, "n 3"]:
-    rows = [skin.rows[corners[:, k]] * shares[:, k : k + 1] for k in range(3)]
-    xyz = developing.radiance(
-        baked.table,
-        _samples((rows[0] + rows[1] + rows[2]).T, eye),
-        light,
-        turn,
-        jnp.zeros((), jnp.float32),
-        lit,
-    )
+    rows = [skin[corners[:, k]] * shares[:, k : k + 1] for k in range(3)]
+    xyz = _radiance(baked, rows[0] + rows[1] + rows[2], eye, light, turn, lit)
     return jnp.stack(developing.codes(baked.film, xyz, stops * baked.exposure), -1)
 
 
 @eqx.filter_jit
 def _vertices(
-    baked: Baked, skin: Skin, eye: Any, light: Any, turn: Any, stops: Any
+    baked: Baked, skin: Array, eye: Any, light: Any, turn: Any, stops: Any
 ) -> UInt8[Array, "V 3"]:
-    seen = _samples(skin.rows.T, eye)
-    xyz = developing.radiance(baked.table, seen, light, turn, jnp.zeros((), jnp.float32))
+    xyz = _radiance(baked, skin, eye, light, turn)
     return jnp.stack(developing.codes(baked.film, xyz, stops * baked.exposure), -1)
 
 
 @eqx.filter_jit
-def _linear(baked: Baked, skin: Skin, eye: Any, light: Any, turn: Any) -> tuple[Array, Array]:
-    seen = _samples(skin.rows.T, eye)
-    xyz = developing.radiance(baked.table, seen, light, turn, jnp.zeros((), jnp.float32))
+def _linear(baked: Baked, skin: Array, eye: Any, light: Any, turn: Any) -> tuple[Array, Array]:
+    xyz = _radiance(baked, skin, eye, light, turn)
     return jnp.stack(developing.display(baked.film, xyz), -1), xyz[1] > 0.0
+
+
+def _radiance(
+    baked: Baked, rows: Array, eye: Any, light: Any, turn: Any, lit: Any = None
+) -> list[Array]:
+    near = jnp.zeros((), jnp.float32)
+    return developing.radiance(baked.table, _samples(rows.T, eye), light, turn, near, lit)
 
 
 def _samples(rows: Float[Array, "9 n"], eye: Any) -> developing.Samples:
@@ -323,12 +315,12 @@ def _samples(rows: Float[Array, "9 n"], eye: Any) -> developing.Samples:
     away = _unit(away)
     n = _unit(list(normal))
     # Normals of coarse meshes turn away from a viewer who does see the face.
-    lean = jnp.maximum(1e-3 - _dot(n, away), 0.0)
+    lean = jnp.maximum(1e-3 - developing.dot(n, away), 0.0)
     n = _unit([a + lean * b for a, b in zip(n, away, strict=True)])
-    along = _dot(list(field), n)
+    along = developing.dot(list(field), n)
     t = _unit([field[k] - along * n[k] for k in range(3)])
     across = [n[1] * t[2] - n[2] * t[1], n[2] * t[0] - n[0] * t[2], n[0] * t[1] - n[1] * t[0]]
-    local = [_dot(axis, away) for axis in (t, across, n)]
+    local = [developing.dot(axis, away) for axis in (t, across, n)]
     shown = local[2] > math.cos(views.GRAZING)
     below = (0.0, 0.0, -1.0)
     kept = [jnp.where(shown, a, b) for a, b in zip(local, below, strict=True)]
@@ -337,10 +329,6 @@ def _samples(rows: Float[Array, "9 n"], eye: Any) -> developing.Samples:
     )
 
 
-def _dot(a: list[Array], b: list[Array]) -> Array:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
 def _unit(a: list[Array]) -> list[Array]:
-    scale = 1.0 / jnp.sqrt(jnp.maximum(_dot(a, a), 1e-24))
+    scale = 1.0 / jnp.sqrt(jnp.maximum(developing.dot(a, a), 1e-24))
     return [c * scale for c in a]

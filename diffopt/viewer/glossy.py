@@ -166,11 +166,8 @@ class Glossy:
 
     def _planned(self, tolerance: float, values: Values) -> tuple[tuple[str, ...], Any]:
         """Kinds of light that are kept, and the share of each in the light of the vertices."""
-        light, luminance = self._light(values), self.scene.channels.luminance()
-        vertices = jnp.arange(len(self.transfer.axes))
+        light = self._light(values)
         away = np.asarray(self.place.eye) - self.transfer.mesh.vertices
-        length = np.linalg.norm(away, axis=1, keepdims=True)
-        wo = jnp.asarray(away / length, jnp.float32)
         facing = (away * self.transfer.mesh.normals).sum(1) > 0.0
         means = {}
         for name in layers.LAYERS:
@@ -178,10 +175,8 @@ class Glossy:
                 continue
             if name not in KINDS and not self._tables.matte:
                 continue
-            held = layers.layer(self._tables, name)
-            value = np.asarray(relighting.vertex_radiance(held, light, vertices, wo))
-            value = np.broadcast_to(value, (len(facing), len(luminance)))
-            means[name] = float((value[facing] @ luminance).mean())
+            value = self._luminance(layers.layer(self._tables, name), light)
+            means[name] = float(value[facing].mean())
         total = max(sum(means.values()), 1e-30)
         shares = {name: value / total for name, value in means.items()}
         kept, left = list(shares), tolerance
@@ -191,17 +186,19 @@ class Glossy:
                 kept.remove(name)
         return tuple(kept), (tolerance, shares)
 
+    def _luminance(self, held: Tables, light: Lights) -> Float[np.ndarray, " V"]:
+        """Of the vertices, from where they are looked at first."""
+        vertices = jnp.arange(len(self.transfer.axes))
+        wo = between.towards(held, vertices, jnp.asarray(self.place.eye, jnp.float32))
+        value = np.asarray(relighting.vertex_radiance(held, light, vertices, wo))
+        weights = self.scene.channels.luminance()
+        return np.broadcast_to(value, (len(value), len(weights))) @ weights
+
     def _exposed(self) -> float:
         """That makes the mean luminance of what is seen at first `_MEAN`."""
         if self._first is None:
-            values = controls.initial(self.controls)
-            vertices = jnp.arange(len(self.transfer.axes))
-            away = np.asarray(self.place.eye) - self.transfer.mesh.vertices
-            wo = jnp.asarray(away / np.linalg.norm(away, axis=1, keepdims=True), jnp.float32)
-            light = self._light(values)
-            value = np.asarray(relighting.vertex_radiance(self._tables, light, vertices, wo))
-            count = self.scene.channels.count
-            value = np.broadcast_to(value, (len(value), count)) @ self.scene.channels.luminance()
+            light = self._light(controls.initial(self.controls))
+            value = self._luminance(self._tables, light)
             bright = value[value > 0.0]
             self._first = _MEAN / max(float(bright.mean()), 1e-9) if len(bright) else 1.0
         return self._first
@@ -319,9 +316,7 @@ _codes = programs.Program(_shaded)
 @eqx.filter_jit
 def _vertices(held: Held, light: Any, eye: Any, stops: Any) -> UInt8[Array, "V 3"]:
     numbers = _all(held)
-    away = eye[None] - held.tables.position
-    square = (away * away).sum(-1, keepdims=True)
-    wo = away / jnp.sqrt(jnp.maximum(square, 1e-30))
+    wo = between.towards(held.tables, numbers, eye)
     return _developed(held, relighting.vertex_radiance(held.tables, light, numbers, wo), stops)
 
 

@@ -15,22 +15,20 @@ CHUNK = 2**15
 
 
 def in_chunks(
-    shade: Callable[..., Any], count: int, *columns: np.ndarray, channels: int = 3
+    shade: Callable[..., Any], count: int, *columns: np.ndarray
 ) -> UInt8[np.ndarray, "n 3"]:
     """Codes of samples by a function of columns of `CHUNK` rows.
 
     Parameters
     ----------
     shade
-        From rows of the columns to codes, [CHUNK, channels].
+        From rows of the columns to codes, [CHUNK, 3].
     count
         Samples, n.
     columns
         Arrays of n rows; the last chunk is filled up with its first row.
-    channels
-        Of a code.
     """
-    out = np.empty((count, channels), np.uint8)
+    out = np.empty((count, 3), np.uint8)
     parts = []
     # All calls are sent off before the first is waited for.
     for first in range(0, count, CHUNK):

@@ -18,7 +18,7 @@ from diffopt.shadows.moving import Occluder
 from diffopt.shadows.rays import Rays
 from diffopt.shadows.settings import ShadowSettings
 from diffopt.shadows.shading import irradiance, plane
-from diffopt.viewer import controls, painting
+from diffopt.viewer import controls, painting, surfaces
 from diffopt.viewer.casting import Caster, rays
 from diffopt.viewer.controls import Control, Slider, Steps, Toggle, Values
 from diffopt.viewer.subject import Coloured, Look, Place, Row
@@ -159,7 +159,7 @@ class Shadowed:
     def _factor(self) -> float:
         """Exposure: the open ground under the first sky becomes `_EXPOSED`."""
         bright = pictures.open_ground() * pictures.GROUND_RGB / np.pi
-        return _EXPOSED / float(bright @ [0.2126, 0.7152, 0.0722])
+        return _EXPOSED / pictures.luminance(bright)
 
     def pixels(self, built: Mapping[str, Any], look: Look) -> UInt8[np.ndarray, "h w 3"]:
         """A frame: the ground between receivers, the object between vertices."""
@@ -205,14 +205,11 @@ class Shadowed:
         share = _shown(np.linalg.norm(self._ground.reshape(-1, 3)[:, :2], axis=1))[:, None]
         floor = found[len(vertices) :]
         found[len(vertices) :] = np.round(share * floor + (1.0 - share) * _BEHIND)
-        number = np.arange(_COUNT**2).reshape(_COUNT, _COUNT) + len(vertices)
-        a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
-        squares = [np.stack(t, -1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))]
-        squares = np.concatenate(squares)
-        inside = share[squares - len(vertices), 0].max(1) > 0.0
+        squares = surfaces.triangles(_COUNT, _COUNT)
+        squares = squares[share[squares, 0].max(1) > 0.0] + len(vertices)
         return Coloured(
             np.concatenate([vertices, self._ground.reshape(-1, 3)]).astype(np.float64),
-            np.concatenate([faces, squares[inside]]).astype(np.int32),
+            np.concatenate([faces, squares]).astype(np.int32),
             found,
         )
 

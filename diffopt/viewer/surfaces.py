@@ -3,7 +3,7 @@
 import math
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from diffopt.scenes.meshfiles import Mesh
 from diffopt.viewer.subject import Place
@@ -23,10 +23,7 @@ def sheet(
     field = np.stack([zero, np.cos(angle), -np.sin(angle)], -1).reshape(-1, 3)
     middle = np.array([0.0, 0.0, 0.5 * (1.0 + math.cos(half))])
     points = normal + x.reshape(-1, 1) * np.array([1.0, 0.0, 0.0]) - middle
-    number = np.arange(along * around).reshape(along, around)
-    a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
-    corners = [np.stack(t, -1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))]
-    return Mesh(points, np.concatenate(corners), normal), field
+    return Mesh(points, triangles(along, around), normal), field
 
 
 def ball(around: int = 256, across: int = 128) -> tuple[Mesh, Float[np.ndarray, "V 3"]]:
@@ -37,15 +34,20 @@ def ball(around: int = 256, across: int = 128) -> tuple[Mesh, Float[np.ndarray, 
     sin = np.sin(theta)
     points = np.stack([sin * np.cos(phi), sin * np.sin(phi), np.cos(theta)], -1)
     field = np.stack([-np.sin(phi), np.cos(phi), np.zeros_like(phi)], -1).reshape(-1, 3)
-    number = np.arange(across * around).reshape(across, around)
-    a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
-    faces = np.concatenate([np.stack(t, -1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))])
+    faces = triangles(across, around)
     flat = points.reshape(-1, 3)
     corner = flat[faces]
     area = np.linalg.norm(
         np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1
     )
     return Mesh(flat, faces[area > 1e-12], flat.copy()), field
+
+
+def triangles(rows: int, columns: int) -> Int[np.ndarray, "F 3"]:
+    """Two for each square of a grid of vertices that are numbered row after row."""
+    number = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]
+    return np.concatenate([np.stack(t, -1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))])
 
 
 def place(mesh: Mesh, up: np.ndarray, whole: bool) -> Place:
