@@ -12,7 +12,7 @@ from diffopt.viewer import controls, session
 from diffopt.viewer.building import Builder, Failure
 from diffopt.viewer.controls import Menu, Slider, Steps, Toggle
 from diffopt.viewer.session import PIXELS, VERTICES, GoneError, Session, valid_camera
-from diffopt.viewer.subject import Coloured, Place, Row, StaleError, Subject
+from diffopt.viewer.subject import Coloured, Meshed, Place, Row, StaleError, Subject
 
 CAMERA = Camera((0.0, -4.0, 0.0), resolution=(120, 80))
 
@@ -21,11 +21,10 @@ class Grey:
     """A picture of one grey, which takes as long as it is told to."""
 
     title, place = "grey", Place((0.0, -4.0, 0.0), (0.0, 0.0, 0.0))
-    turns, takes, averages = True, 3, False
+    takes, averages = 3, False
 
-    def __init__(self, has_colours=False, pixel_s=0.0, vertex_s=0.0, build_s=0.0):
-        self.has_colours = has_colours
-        self.pixel_s, self.vertex_s, self.build_s = pixel_s, vertex_s, build_s
+    def __init__(self, pixel_s=0.0, build_s=0.0):
+        self.pixel_s, self.build_s = pixel_s, build_s
         self.controls = (
             Slider("level", "level", 0.0, 255.0, 1.0, 10.0),
             Slider("table", "table", 0.0, 9.0, 1.0, 1.0),
@@ -58,13 +57,23 @@ class Grey:
         value = look.values["level"] + 10 * look.take
         return np.full((rows, columns, 3), [value, 10 * built["table"], 0], np.uint8)
 
+    def rows(self, built, look):
+        return [Row("grey", True, f"table {built['table']:g}")]
+
+
+class GreyMesh(Grey):
+    """The same as a mesh as well."""
+
+    turns = True
+
+    def __init__(self, pixel_s=0.0, vertex_s=0.0):
+        super().__init__(pixel_s)
+        self.vertex_s = vertex_s
+
     def colours(self, built, look):
         time.sleep(self.vertex_s)
         codes = np.full((3, 3), [look.values["level"], 10 * built["table"], 0], np.uint8)
         return Coloured(np.eye(3), np.array([[0, 1, 2]], np.int32), codes)
-
-    def rows(self, built, look):
-        return [Row("grey", True, f"table {built['table']:g}")]
 
 
 class Wall:
@@ -114,6 +123,8 @@ def run():
 
 def test_the_subject_of_these_tests_is_one():
     assert isinstance(Grey(), Subject)
+    assert isinstance(GreyMesh(), Meshed)
+    assert not isinstance(Grey(), Meshed)
 
 
 def test_a_frame_at_rest_is_the_mean_over_takes(run):
@@ -204,7 +215,7 @@ def test_a_viewer_that_is_gone_ends_its_session_alone(run):
     ("pixel_s", "vertex_s", "wins"), [(0.06, 0.0, VERTICES), (0.0, 0.06, PIXELS)]
 )
 def test_the_faster_way_is_measured_and_taken(run, pixel_s, vertex_s, wins):
-    made, wall = run(Grey(True, pixel_s, vertex_s))
+    made, wall = run(GreyMesh(pixel_s, vertex_s))
     wait(lambda: made._faster is not None)
     assert made._faster == wins
     time.sleep(0.4)

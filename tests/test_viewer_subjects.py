@@ -25,7 +25,7 @@ from diffopt.viewer.diffracting import Diffracting
 from diffopt.viewer.scenery import Scenery
 from diffopt.viewer.session import PIXELS, Times
 from diffopt.viewer.shadowed import Shadowed
-from diffopt.viewer.subject import Coloured, Look, Row, StaleError, Subject
+from diffopt.viewer.subject import Coloured, Look, Meshed, Row, StaleError, Subject
 
 
 def built(subject, values):
@@ -141,8 +141,9 @@ def test_a_mesh_file_holds_the_colours():
 
 
 def test_subjects_are_subjects(disc):
-    assert isinstance(disc, Subject)
-    assert isinstance(Shadowed(animations.animation("egg")), Subject)
+    for subject in (disc, Shadowed(animations.animation("egg"))):
+        assert isinstance(subject, Subject)
+        assert isinstance(subject, Meshed)
 
 
 def test_diffraction_is_that_of_a_photograph(disc, table):

@@ -68,7 +68,7 @@ class Diffracting:
         Of the surface, for the title.
     """
 
-    has_colours, turns, takes, averages = True, True, 4, False
+    turns, takes, averages = True, 4, False
 
     def __init__(
         self,

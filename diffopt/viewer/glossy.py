@@ -67,7 +67,7 @@ class Glossy:
         For the title.
     """
 
-    has_colours, turns, takes, averages = True, True, 4, False
+    turns, takes, averages = True, 4, False
 
     def __init__(self, transfer: Transfer, scene: Scene, camera: Camera, name: str = "scene"):
         found = infinity.from_infinity(scene)

@@ -24,7 +24,7 @@ from diffopt.transfer import infinity
 from diffopt.viewer import controls, exponents
 from diffopt.viewer.controls import Control, Menu, Slider, Steps, Values
 from diffopt.viewer.glossy import place_of
-from diffopt.viewer.subject import Coloured, Look, Row, StaleError
+from diffopt.viewer.subject import Look, Row, StaleError
 
 #: Mean differences of luminance that may be asked for.
 TOLERANCES = (0.3, 0.1, 0.05, 0.03, 0.01)
@@ -54,7 +54,7 @@ class Scenery:
         For the title.
     """
 
-    has_colours, turns, takes, averages = False, True, 64, True
+    takes, averages = 64, True
 
     def __init__(self, scene: Scene, camera: Camera, name: str = "scene") -> None:
         self.scene, self.title = scene, f"{name}: {len(scene.objects)} objects"
@@ -147,10 +147,6 @@ class Scenery:
         factor = (self._exposure or 1.0) * 2.0 ** look.values["exposure"]
         toned = tones.tone(mean, factor)
         return np.round(255.0 * tones.encode(toned)).astype(np.uint8)
-
-    def colours(self, built: Mapping[str, Any], look: Look) -> Coloured:
-        """Scenes are drawn by pixels alone."""
-        raise NotImplementedError("a scene is drawn by pixels")
 
     def rows(self, built: Mapping[str, Any], look: Look) -> list[Row]:
         """The plan."""

@@ -13,7 +13,7 @@ from diffopt.scenes.camera import Camera
 from diffopt.viewer import controls
 from diffopt.viewer.building import Builder, Failure
 from diffopt.viewer.controls import Menu, Values
-from diffopt.viewer.subject import Coloured, Look, Row, StaleError, Subject
+from diffopt.viewer.subject import Coloured, Look, Meshed, Row, StaleError, Subject
 
 #: How a frame reaches the viewer.
 PIXELS, VERTICES = "pixels", "vertices"
@@ -104,7 +104,8 @@ class Session:
     def __init__(self, subject: Subject, builder: Builder, screen: Screen, camera: Camera) -> None:
         self.subject, self.builder, self.screen = subject, builder, screen
         self.controls = list(subject.controls)
-        if subject.has_colours:
+        self._meshed = subject if isinstance(subject, Meshed) else None
+        if self._meshed is not None:
             hint = "Pictures computed here, or colours of vertices that the browser draws."
             self.controls.append(
                 Menu("drawn", "drawn by", (FASTER, PIXELS, VERTICES), FASTER, hint)
@@ -118,7 +119,7 @@ class Session:
         self._version = self._vertices = 0
         self._coloured: Any = None
         self._changed = time.perf_counter()
-        self._faster: str | None = None if subject.has_colours else PIXELS
+        self._faster: str | None = PIXELS if self._meshed is None else None
         self._compared: dict[str, list[float]] = {PIXELS: [], VERTICES: []}
         self._per_pixel = 2e-7
         self._told = -_TELL
@@ -217,13 +218,12 @@ class Session:
 
     def _draft(self, look: Look) -> None:
         """A frame while something changes."""
-        way = self._way(look.values)
-        if way == PIXELS:
+        if self._meshed is None or self._way(look.values) == PIXELS:
             self._send(look, PIXELS, self._coarse(look.camera))
             return
         # Where colours do not depend on the camera, the browser turns them itself.
         state = look.values, id(self._built)
-        same = not self.subject.turns and not self.subject.moves(look.values)
+        same = not self._meshed.turns and not self.subject.moves(look.values)
         self._send(look, VERTICES, again=same and state == self._coloured)
         self._coloured = state
 
@@ -310,8 +310,8 @@ class Session:
         """
         begun = time.perf_counter()
         size: tuple[int, ...]
-        if way == VERTICES:
-            found = None if again else self.subject.colours(self._built, look)
+        if self._meshed is not None and way == VERTICES:
+            found = None if again else self._meshed.colours(self._built, look)
             self._vertices = self._vertices if found is None else len(found.vertices)
             size = (self._vertices,)
             drawn = time.perf_counter()

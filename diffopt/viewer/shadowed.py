@@ -51,7 +51,7 @@ class Shadowed:
         Of `diffopt.shadows.animations`.
     """
 
-    has_colours, turns, takes, averages = True, False, 4, False
+    turns, takes, averages = False, 4, False
 
     def __init__(self, animation: Animation) -> None:
         self.animation = animation

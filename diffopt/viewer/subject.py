@@ -114,10 +114,6 @@ class Subject(Protocol):
         What may be changed.
     place
         Of the camera at first.
-    has_colours
-        Whether it can be drawn as a mesh with coloured vertices, too.
-    turns
-        Whether colours of vertices change with the camera.
     takes
         Frames that are averaged when nothing changes.
     averages
@@ -127,8 +123,6 @@ class Subject(Protocol):
     title: str
     controls: Sequence[Control]
     place: Place
-    has_colours: bool
-    turns: bool
     takes: int
     averages: bool
 
@@ -151,10 +145,23 @@ class Subject(Protocol):
         """A frame, codes of sRGB."""
         ...
 
-    def colours(self, built: Mapping[str, Any], look: Look) -> Coloured:
-        """A frame as a mesh."""
-        ...
-
     def rows(self, built: Mapping[str, Any], look: Look) -> list[Row]:
         """The table beside the picture: what is in it, what is out, and why."""
+        ...
+
+
+@runtime_checkable
+class Meshed(Subject, Protocol):
+    """A subject that can be drawn as a mesh with coloured vertices, too.
+
+    Attributes
+    ----------
+    turns
+        Whether the colours change with the camera.
+    """
+
+    turns: bool
+
+    def colours(self, built: Mapping[str, Any], look: Look) -> Coloured:
+        """A frame as a mesh."""
         ...
