@@ -15,12 +15,12 @@ from diffopt import samples
 from diffopt.drawing import meshes, tones, views
 from diffopt.errors import InputError
 from diffopt.kernels import spectrum
-from diffopt.scenes import Directional, Environment
+from diffopt.scenes import Directional, Environment, primary
 from diffopt.scenes.shapes import Box
 from diffopt.shadows import animations, pictures
 from diffopt.transfer import Relit, layers, precompute, relighting
 from diffopt.transfer.settings import TransferSettings
-from diffopt.viewer import casting, controls, exponents, glossy, gltf, painting, panels, surfaces
+from diffopt.viewer import controls, exponents, glossy, gltf, painting, panels, surfaces
 from diffopt.viewer.diffracting import Diffracting
 from diffopt.viewer.scenery import Scenery
 from diffopt.viewer.session import PIXELS, Times
@@ -66,7 +66,7 @@ def values(subject, **changed):
 def test_rays_meet_what_is_before_the_camera():
     mesh, _ = surfaces.ball()
     view = do.Camera((0.0, -4.0, 1.0), resolution=(80, 60), field_of_view=45.0)
-    hits = casting.Caster(mesh.vertices, mesh.faces)(view)
+    hits = primary.PrimaryCaster(mesh.vertices, mesh.faces)(view)
     origin, along = view.rays(np.arange(80 * 60))
     b = (origin * along).sum(1)
     root = b * b - (origin[0] @ origin[0] - 1.0)
@@ -86,7 +86,7 @@ def test_rays_meet_what_is_before_the_camera():
 
 def test_rays_from_within_and_from_far_away():
     mesh, _ = surfaces.ball()
-    caster = casting.Caster(mesh.vertices, mesh.faces)
+    caster = primary.PrimaryCaster(mesh.vertices, mesh.faces)
     inside = caster(do.Camera((0.0, 0.1, 0.0), (0.0, 1.0, 0.0), resolution=(20, 20)))
     assert len(inside.pixel) == 400
     assert not inside.front.any()
@@ -303,7 +303,7 @@ def test_the_ground_is_that_of_diffopt_shadow():
     )
     # Where the ground does not fade and the object is not.
     whole = (stage._shown > 0.999).reshape(100, 160)
-    caster = casting.Caster(body.vertices(0.25), body.faces)
+    caster = primary.PrimaryCaster(body.vertices(0.25), body.faces)
     covered = np.zeros(100 * 160, bool)
     covered[caster(stage.camera).pixel] = True
     sure = whole & ~covered.reshape(100, 160)

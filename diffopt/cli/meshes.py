@@ -171,7 +171,7 @@ def prepare(words: Words) -> Subject | None:
         field = tangents.from_direction(mesh, np.array(direction))
         kind = f"follows the direction {words.mesh_direction}"
     else:
-        field, kind = _own_tangents(mesh, up)
+        field, kind = tangents.own(mesh, np.array(up))
     camera = shapes.axes(eye, mesh.centre, np.array(up))
     towards = camera.T @ np.array(UPPER_LEFT) if light is None else np.array(light)
     return Subject(
@@ -184,20 +184,6 @@ def prepare(words: Words) -> Subject | None:
         field=field,
         tangents=kind,
     )
-
-
-def _own_tangents(mesh: "meshes.Mesh", up: tuple[float, float, float]) -> tuple["np.ndarray", str]:
-    """Directions that need no option: along the texture, or around the upward axis."""
-    import numpy as np
-
-    from diffopt.scenes import tangents
-
-    try:
-        return tangents.from_texture(mesh), "follows u of the texture"
-    except InputError as error:
-        why = "no texture coordinates" if mesh.uv is None else str(error)
-        circles = tangents.around(mesh, np.array(up))
-        return circles, f"follows circles around the upward axis ({why})"
 
 
 def _vector(option: str, text: str | None) -> tuple[float, float, float] | None:

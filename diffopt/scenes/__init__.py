@@ -9,7 +9,7 @@
 `camera`        pinhole cameras
 `channels`      RGB or wavelengths, and how one becomes the other
 `world`         all shapes in arrays, and the surface where a ray meets one
-`raycasting`    what a ray meets
+`raycasting`    what a ray meets; `primary`: what a camera sees of a mesh, faster
 `meshfiles`     meshes from files and arrays: winding, creases, normals
 `tangents`      directions of the material on a mesh
 `models`        teapot, torus, knot and rabbit; `newell`: the teapot's patches, of

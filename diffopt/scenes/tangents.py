@@ -107,6 +107,31 @@ def around(mesh: Mesh, axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "V 3"]
     return np.cross(from_direction(mesh, axis), mesh.normals)
 
 
+def own(mesh: Mesh, up: Float[np.ndarray, "3"]) -> tuple[Float[np.ndarray, "V 3"], str]:
+    """Directions for a mesh of which nothing is known, and in words what they follow.
+
+    Along the texture if the mesh has a usable one, see `from_texture`; else along circles,
+    see `around`.
+
+    Parameters
+    ----------
+    mesh
+        What they lie on.
+    up
+        Axis of the circles, of any length.
+
+    Raises
+    ------
+    InputError
+        If the axis is 0 or not finite.
+    """
+    try:
+        return from_texture(mesh), "follows u of the texture"
+    except InputError as error:
+        why = "no texture coordinates" if mesh.uv is None else str(error)
+        return around(mesh, up), f"follows circles around the upward axis ({why})"
+
+
 def across(
     field: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3"]:

@@ -6,6 +6,7 @@ same light, so that pictures show shadows on the ground as the fields have them,
 
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -59,9 +60,7 @@ class Stage:
         place = np.where(down[:, None], self._starts[:, :2] + 0.0, 0.0)
         place = place + np.where(down, far, 0.0)[:, None] * self._along[:, :2]
         self._ground = place
-        rim = np.linalg.norm(place, axis=1) / (0.5 * animations.GROUND)
-        share = np.clip((rim - _FADE) / (1.0 - _FADE), 0.0, 1.0)
-        self._shown = np.where(down, 1.0 - share * share * (3.0 - 2.0 * share), 0.0)
+        self._shown = np.where(down, ground_share(np.linalg.norm(place, axis=1)), 0.0)
         self._distance = np.where(self._shown > 0.0, far, np.inf)
         height = np.repeat((np.arange(rows) + 0.5) / rows, columns * len(inside))[:, None]
         self._back = height * _BACK_RGB[0] + (1.0 - height) * _BACK_RGB[1]
@@ -236,6 +235,18 @@ def _bilinear(grid: np.ndarray, place: np.ndarray) -> np.ndarray:
     lower = (1.0 - x) * grid[i, j] + x * grid[i_, j]
     upper = (1.0 - x) * grid[i, j_] + x * grid[i_, j_]
     return (1.0 - y) * lower + y * upper
+
+
+def ground_share(distance: Any) -> Any:
+    """Share of the ground, before what is behind it, at distances from its middle.
+
+    Parameters
+    ----------
+    distance
+        Array of NumPy or JAX.
+    """
+    share = ((distance / (0.5 * animations.GROUND) - _FADE) / (1.0 - _FADE)).clip(0.0, 1.0)
+    return 1.0 - share * share * (3.0 - 2.0 * share)
 
 
 @functools.cache

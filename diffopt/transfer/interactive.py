@@ -104,13 +104,7 @@ class Relit:
         """Look through another camera."""
         seen = self.raster(camera, self.samples)
         self.camera = camera
-        count, rows = len(seen.towards), len(seen.covered)
-        past = np.flatnonzero(seen.place == rows).astype(np.int32)
-        # The back of a surface hides the background and is dark: none looks into a closed body.
-        from_eye = (np.asarray(camera.eye) - self.raster.centre) / self.raster.radius
-        origins = np.broadcast_to(from_eye.astype(np.float32), (len(past), 3)).copy()
-        if len(past):
-            past = past[self.raster.scene.run(origins, seen.towards[past]) < 0]
+        count, rows = len(seen.place), len(seen.covered)
         size = self._size(1, rows)
         fields = {
             "vertices": _filled(seen.vertices, self._size(0, len(seen.vertices)), 0),
@@ -119,7 +113,8 @@ class Relit:
             "corners": _filled(seen.corners, size, 0),
             "shares": _filled(seen.shares, size, 1.0 / 3.0),
         }
-        self._past = jnp.asarray(_filled(past, self._size(2, _bucket(len(past))), count))
+        length = self._size(2, _bucket(len(seen.past)))
+        self._past = jnp.asarray(_filled(seen.past, length, count))
         self._towards = jnp.asarray(seen.towards)[jnp.minimum(self._past, count - 1)]
         held: Any = {name: jnp.asarray(a) for name, a in fields.items()}
         # On the device, so that frames after this one carry nothing there.

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from diffopt.errors import InputError
 from diffopt.scenes.camera import Camera
+from diffopt.scenes.primary import PrimaryCaster
 from diffopt.transfer import tessellation
 from diffopt.transfer.precomputation import Transfer
 from diffopt.transfer.raster import Raster
@@ -126,21 +127,16 @@ class _Hits(NamedTuple):
 
 def _hits(transfer: Transfer, triangles: np.ndarray, camera: Camera, samples: int) -> _Hits:
     """Fronts of triangles that samples see, and how many pixels the nearest edge is away."""
-    raster = Raster(transfer.mesh.vertices, triangles)
-    rows, columns = camera.shape
-    places = (np.arange(samples) + 0.5) / samples
-    x, y = np.meshgrid(
-        np.arange(columns)[:, None] + places, np.arange(rows)[:, None] + places, indexing="xy"
-    )
-    pixel = np.floor(y).astype(int) * columns + np.floor(x).astype(int)
-    inside = np.stack([x % 1.0, y % 1.0], -1).reshape(-1, 2)
-    origin, along = camera.rays(pixel.reshape(-1), inside)
-    near = ((origin - raster.centre) / raster.radius).astype(np.float32)
-    which = raster.scene.run(near, along.astype(np.float32), output=1)["primID"]
-    facing = -(raster.normal[np.maximum(which, 0)] * along).sum(-1)
-    facing /= np.maximum(np.linalg.norm(raster.normal[np.maximum(which, 0)], axis=-1), 1e-30)
-    which = np.where((which >= 0) & (facing > 0.0), which, -1)
-    corners = transfer.mesh.vertices[triangles[np.maximum(which, 0)]] - origin[0]
+    columns, rows = camera.resolution
+    fine = dataclasses.replace(camera, resolution=(columns * samples, rows * samples))
+    origin, along = fine.rays(np.arange(rows * columns * samples**2))
+    hits = PrimaryCaster(transfer.mesh.vertices, triangles)(fine)
+    which = np.full(len(along), -1)
+    which[hits.pixel[hits.front]] = hits.face[hits.front]
+    met = transfer.mesh.vertices[triangles[np.maximum(which, 0)]]
+    normal = np.cross(met[:, 1] - met[:, 0], met[:, 2] - met[:, 0])
+    facing = -(normal * along).sum(-1) / np.maximum(np.linalg.norm(normal, axis=-1), 1e-30)
+    corners = met - origin[0]
     across = np.cross(corners[:, [1, 2, 0]], corners[:, [2, 0, 1]])
     matrix = camera.matrix[:3, :3]
     step = math.tan(math.radians(0.5 * camera.field_of_view)) / (0.5 * min(camera.resolution))

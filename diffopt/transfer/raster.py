@@ -1,11 +1,13 @@
 """What a camera sees of a mesh: triangles at samples, and the vertices that they need."""
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from diffopt.scenes.camera import Camera
+from diffopt.scenes.primary import PrimaryCaster, rays
 
 
 class Seen(NamedTuple):
@@ -23,6 +25,8 @@ class Seen(NamedTuple):
         Places among `vertices` of the corners of their triangles, [P, 3].
     shares
         Of the corners, [P, 3].
+    past
+        Samples whose rays meet nothing, not even the back of a surface, [Q].
     towards
         Direction of the ray of every sample, [h w samples^2, 3].
     eye
@@ -38,6 +42,7 @@ class Seen(NamedTuple):
     place: Int[np.ndarray, " S"]
     corners: Int[np.ndarray, "P 3"]
     shares: Float[np.ndarray, "P 3"]
+    past: Int[np.ndarray, " Q"]
     towards: Float[np.ndarray, "S 3"]
     eye: Float[np.ndarray, "3"]
     shape: tuple[int, int]
@@ -56,48 +61,41 @@ class Raster:
     """
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray) -> None:
-        from embreex.mesh_construction import TriangleMesh
-        from embreex.rtcore_scene import EmbreeScene
-
         self.triangles = triangles
-        low, high = vertices.min(0), vertices.max(0)
-        self.centre, self.radius = 0.5 * (low + high), float(np.linalg.norm(high - low)) / 2 or 1.0
-        corners = ((vertices - self.centre) / self.radius)[triangles].astype(np.float32)
-        edges = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        self.normal = np.cross(*edges)
-        self.scene = EmbreeScene(robust=True)
-        TriangleMesh(self.scene, corners)
+        self._caster = PrimaryCaster(vertices, triangles)
 
     def __call__(self, camera: Camera, samples: int = 1) -> Seen:
         """What a camera sees, with samples on a side of each pixel."""
         rows, columns = camera.shape
-        places = (np.arange(samples) + 0.5) / samples
-        inside = np.stack(np.meshgrid(places, places), -1).reshape(-1, 2)
-        pixel = np.repeat(np.arange(rows * columns), len(inside))
-        origin, towards = camera.rays(pixel, np.tile(inside, (rows * columns, 1)))
-        near = ((origin - self.centre) / self.radius).astype(np.float32)
-        along = towards.astype(np.float32)
-        found = self.scene.run(near, along, output=1)
-        which = found["primID"]
-        front = (self.normal[np.maximum(which, 0)] * along).sum(-1) < 0.0
-        covered = np.flatnonzero((which >= 0) & front)
-        met = self.triangles[which[covered]]
+        size = columns * samples, rows * samples
+        fine = dataclasses.replace(camera, resolution=size)
+        hits = self._caster(fine)
+        # From row after row of samples to pixel after pixel.
+        number = np.arange(size[0] * size[1], dtype=np.int32).reshape(rows, columns, samples, -1)
+        order = number.swapaxes(1, 2).reshape(-1)
+        seen = np.flatnonzero(hits.front)
+        seen = seen[np.argsort(order[hits.pixel[seen]])] if samples > 1 else seen
+        covered = order[hits.pixel[seen]]
+        met = self.triangles[hits.face[seen]]
         used = np.zeros(int(self.triangles.max()) + 1, bool)
         used[met] = True
         vertices = np.flatnonzero(used).astype(np.int32)
         place = np.cumsum(used, dtype=np.int32) - 1
-        u, v = found["u"][covered], found["v"][covered]
-        shares = np.stack([1.0 - u - v, u, v], -1).astype(np.float32)
-        size = _bucket(len(covered))
-        beside = np.full(len(pixel), size, np.int32)
+        length = _bucket(len(covered))
+        beside = np.full(len(order), length, np.int32)
         beside[covered] = np.arange(len(covered), dtype=np.int32)
+        open_ = np.ones(len(order), bool)
+        open_[hits.pixel] = False
+        towards = np.empty((len(order), 3), np.float32)
+        towards[order] = rays(fine)
         return Seen(
             _filled(vertices, _bucket(len(vertices)), 0),
-            _filled(covered.astype(np.int32), size, len(pixel)),
+            _filled(covered, length, len(order)),
             beside,
-            _filled(place[met], size, 0),
-            _filled(shares, size, np.float32(1.0 / 3.0)),
-            along,
+            _filled(place[met], length, 0),
+            _filled(hits.shares[seen], length, np.float32(1.0 / 3.0)),
+            order[open_],
+            towards,
             np.asarray(camera.eye, np.float32),
             (rows, columns),
             samples,

@@ -11,7 +11,6 @@
 `scenery`         any scene, by a plan or a level of image synthesis
 `exponents`       of materials, replaced while looking
 `controls`        sliders and menus, and what they take
-`casting`         what a camera sees of a mesh
 `painting`        pixels in chunks of one size
 `panels`, `gltf`  words beside the picture; meshes for the browser
 ================  ==========================================================

@@ -11,15 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt8
 
-from diffopt import fresnel, lookup
+from diffopt import checks, fresnel, lookup
 from diffopt.diffraction import DiffractionBRDF
 from diffopt.drawing import developing, tones, views
 from diffopt.errors import InputError
 from diffopt.heightfield import Heightfield
 from diffopt.scenes import tangents
 from diffopt.scenes.meshfiles import Mesh
+from diffopt.scenes.primary import Hits, PrimaryCaster, rays
 from diffopt.viewer import controls, painting, surfaces
-from diffopt.viewer.casting import Caster, Hits, rays
 from diffopt.viewer.controls import Control, Menu, Slider, Steps, Toggle, Values
 from diffopt.viewer.subject import Coloured, Look, Row
 
@@ -57,7 +57,7 @@ class Diffracting:
     scan
         Heights, levelled and complete.
     coherence
-        sigma_s at first, micrometres.
+        sigma_s at first, micrometres, from one pixel to half the patch; an eighth if left out.
     material
         Word for `diffopt.fresnel.parse`.
     mesh
@@ -66,6 +66,11 @@ class Diffracting:
         Axis of the mesh that is upwards.
     name
         Of the surface, for the title.
+
+    Raises
+    ------
+    InputError
+        For a coherence length outside the patch, or a patch of too few pixels.
     """
 
     turns, takes, averages = True, 4, False
@@ -82,18 +87,20 @@ class Diffracting:
     ) -> None:
         self.scan, self.fresnel = scan, fresnel.parse(material)
         self.title = f"{name}: diffraction, {material}"
-        least = max(2.0 * max(scan.pixel), 0.2)
-        most = 0.125 * min(scan.extent)
+        least, most = max(2.0 * max(scan.pixel), 0.2), 0.125 * min(scan.extent)
         if coherence is None:
             coherence = most
-        most = max(most, coherence)
+        checks.coherence(coherence, scan.pixel, scan.extent)
+        least, most = min(least, coherence), max(most, coherence)
         if not least < most:
             raise InputError(
                 f"{name}: a patch of {min(scan.extent):g} um with pixels of {max(scan.pixel):g} um "
                 "is too small to be looked at; expected 16 pixels at least"
             )
         step = 10.0 ** (math.floor(math.log10(most - least)) - 2)
-        least, most = (round(round(x / step) * step, 6) for x in (least, most))
+        # Inwards: a longer coherence than the given one may not fit the patch.
+        least = round(math.ceil(least / step - 1e-6) * step, 6)
+        most = round(math.floor(most / step + 1e-6) * step, 6)
         self._own = mesh
         self._up = np.asarray(up, np.float64)
         shapes = ("mesh",) if mesh is not None else SHAPES
@@ -115,27 +122,23 @@ class Diffracting:
             Slider("exposure", "exposure (stops)", -4.0, 4.0, 0.1, 0.0),
             Toggle("shadows", "self-shadows", mesh is not None),
         )
-        self._meshes: dict[str, tuple[Mesh, Caster, Array]] = {}
+        self._meshes: dict[str, tuple[Mesh, PrimaryCaster, Array]] = {}
         # For another shape the table is the same.
         self._last: tuple[Any, Baked | None] = None, None
         whole = self._mesh(shapes[0])[0]
         self.place = surfaces.place(whole, self._up, mesh is not None)
 
-    def _mesh(self, shape: str) -> tuple[Mesh, Caster, Array]:
+    def _mesh(self, shape: str) -> tuple[Mesh, PrimaryCaster, Array]:
         """A mesh, its rays, and position, normal and tangent of its vertices, [V, 9]."""
         if shape not in self._meshes:
             if self._own is not None:
                 mesh = self._own
-                field = (
-                    tangents.around(mesh, self._up)
-                    if mesh.uv is None
-                    else tangents.from_texture(mesh)
-                )
+                field, _ = tangents.own(mesh, self._up)
             else:
                 mesh, field = surfaces.sheet() if shape == "sheet" else surfaces.ball()
             rows = np.concatenate([mesh.vertices, mesh.normals, field], -1)
             skin = jnp.asarray(rows, jnp.float32)
-            self._meshes[shape] = mesh, Caster(mesh.vertices, mesh.faces), skin
+            self._meshes[shape] = mesh, PrimaryCaster(mesh.vertices, mesh.faces), skin
         return self._meshes[shape]
 
     def moves(self, values: Values) -> bool:
@@ -173,9 +176,7 @@ class Diffracting:
         begun = time.perf_counter()
         heights = self.scan.heights * np.asarray(depth, self.scan.heights.dtype)
         scan = dataclasses.replace(self.scan, heights=heights)
-        brdf = DiffractionBRDF(
-            scan, min(coherence, 0.5 * min(scan.extent)), fresnel=self.fresnel, blur=0.0023
-        )
+        brdf = DiffractionBRDF(scan, coherence, fresnel=self.fresnel, blur=0.0023)
         ends = np.array([[-_WIDEST, -_WIDEST, -2.0], [_WIDEST, _WIDEST, _FLATTEST]])
         table = views.bake(brdf, ends, size=_FINE, error=tolerance)
         film = developing.film(brdf)
@@ -227,7 +228,7 @@ class Diffracting:
 
     def _lit(
         self,
-        caster: Caster,
+        caster: PrimaryCaster,
         look: Look,
         hits: Hits,
         shown: np.ndarray,

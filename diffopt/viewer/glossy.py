@@ -14,6 +14,7 @@ from jaxtyping import Array, Float, UInt8
 
 from diffopt.rendering import programs
 from diffopt.scenes.camera import Camera
+from diffopt.scenes.primary import PrimaryCaster, rays
 from diffopt.scenes.scene import Scene
 from diffopt.transfer import (
     angular,
@@ -31,7 +32,6 @@ from diffopt.transfer.precomputation import Transfer
 from diffopt.transfer.relighting import Tables
 from diffopt.transfer.settings import KINDS
 from diffopt.viewer import controls, exponents, painting
-from diffopt.viewer.casting import Caster, rays
 from diffopt.viewer.controls import Control, Slider, Steps, Toggle, Values
 from diffopt.viewer.subject import Coloured, Look, Place, Row
 
@@ -75,7 +75,7 @@ class Glossy:
         self.title = f"{name}: glossy transfer, {len(transfer.axes)} vertices"
         self.place = place_of(camera)
         self._tables = relighting.tables(transfer)
-        self._caster = Caster(transfer.mesh.vertices, transfer.triangles)
+        self._caster = PrimaryCaster(transfer.mesh.vertices, transfer.triangles)
         self._triangles = np.asarray(transfer.triangles, np.int32)
         channels = self.scene.channels
         self._around = lighting.prepare(self.scene.lights, channels)

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, UInt8
 
 from diffopt.scenes.camera import Camera
+from diffopt.scenes.primary import PrimaryCaster, rays
 from diffopt.shadows import animations, choosing, pictures
 from diffopt.shadows.animations import Animation
 from diffopt.shadows.lights import SphereLight, distant_light
@@ -19,7 +20,6 @@ from diffopt.shadows.rays import Rays
 from diffopt.shadows.settings import ShadowSettings
 from diffopt.shadows.shading import irradiance, plane
 from diffopt.viewer import controls, painting, surfaces
-from diffopt.viewer.casting import Caster, rays
 from diffopt.viewer.controls import Control, Slider, Steps, Toggle, Values
 from diffopt.viewer.subject import Coloured, Look, Place, Row
 
@@ -34,8 +34,8 @@ _FORESEEN = 24
 _DIRECTIONS = (6, 16)
 # Nodes by which the sky is projected: its sun is 30 degrees wide.
 _NODES = 40
-# The open ground becomes this bright; it fades from here to the rim, as a share of its half width.
-_EXPOSED, _FADE = 0.66, 0.5
+# The open ground becomes this bright.
+_EXPOSED = 0.66
 # The least value that becomes white.
 _WHITE = 1.7
 _UP = np.array([0.0, 0.0, 1.0])
@@ -153,7 +153,7 @@ class Shadowed:
             glow = np.broadcast_to(_BULB, (2, len(ball), 3)) / self._factor
             value = np.concatenate([value, glow], 1)
         memory["body"] = vertices, faces, value.astype(np.float32)
-        memory["caster"] = Caster(vertices, faces)
+        memory["caster"] = PrimaryCaster(vertices, faces)
 
     @functools.cached_property
     def _factor(self) -> float:
@@ -202,7 +202,8 @@ class Shadowed:
         ground = held["grid"].reshape(-1, 3) * pictures.GROUND_RGB / np.pi
         both = np.concatenate([value[0], ground]).astype(np.float32)
         found = np.asarray(painting.encoded(jnp.asarray(both), np.float32(exposure), _WHITE)).copy()
-        share = _shown(np.linalg.norm(self._ground.reshape(-1, 3)[:, :2], axis=1))[:, None]
+        distance = np.linalg.norm(self._ground.reshape(-1, 3)[:, :2], axis=1)
+        share = pictures.ground_share(distance)[:, None]
         floor = found[len(vertices) :]
         found[len(vertices) :] = np.round(share * floor + (1.0 - share) * _BEHIND)
         squares = surfaces.triangles(_COUNT, _COUNT)
@@ -257,12 +258,6 @@ class Shadowed:
 _BEHIND = 48.0
 
 
-def _shown(distance: np.ndarray) -> np.ndarray:
-    """Share of the ground at distances from its middle."""
-    share = np.clip((distance / (0.5 * animations.GROUND) - _FADE) / (1.0 - _FADE), 0.0, 1.0)
-    return 1.0 - share * share * (3.0 - 2.0 * share)
-
-
 @eqx.filter_jit
 def _floor(grid: Any, place: Any, behind: Any, exposure: Any) -> UInt8[Array, "n 3"]:
     """The ground at points, bilinear between receivers, fading into what is behind it."""
@@ -278,9 +273,8 @@ def _floor(grid: Any, place: Any, behind: Any, exposure: Any) -> UInt8[Array, "n
     light = (1.0 - x) * lower + x * upper
     colour = jnp.asarray(pictures.GROUND_RGB, jnp.float32) / jnp.float32(np.pi)
     found = painting.codes(light * colour[None, :], exposure, _WHITE).astype(jnp.float32)
-    distance = jnp.sqrt(place[:, 0] ** 2 + place[:, 1] ** 2) / (0.5 * animations.GROUND)
-    share = jnp.clip((distance - _FADE) / (1.0 - _FADE), 0.0, 1.0)
-    share = (1.0 - share * share * (3.0 - 2.0 * share))[:, None]
+    distance = jnp.sqrt(place[:, 0] ** 2 + place[:, 1] ** 2)
+    share = pictures.ground_share(distance)[:, None]
     return jnp.round(share * found + (1.0 - share) * behind.astype(jnp.float32)).astype(jnp.uint8)
 
 

@@ -1,4 +1,7 @@
-"""What a camera sees of a mesh, fast: triangles and shares of their corners, by Embree."""
+"""Primary rays: what a camera sees of a mesh, triangles and shares of their corners, by Embree.
+
+For one mesh and one camera, in float32; `diffopt.scenes.raycasting` casts any rays at a scene.
+"""
 
 import functools
 import math
@@ -39,7 +42,7 @@ class Hits(NamedTuple):
     distance: Float[np.ndarray, " n"]
 
 
-class Caster:
+class PrimaryCaster:
     """A mesh that rays are cast at.
 
     Parameters
