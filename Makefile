@@ -1,6 +1,7 @@
 # Two commands do everything on a fresh machine with Python 3.11 or newer:
 #   make demo   install, run the demonstration, say where the pictures are
 #   make test   install with the test tools, run the suite
+#   make long   the same with many more random cases: for a night
 # A second run reinstalls nothing. PYTHON=python3.13 picks an interpreter.
 
 NEW_ENOUGH = 'import sys; sys.exit(sys.version_info < (3, 11))'
@@ -16,7 +17,7 @@ FLOAT32 = tests/test_lookup.py tests/test_methods.py::test_float32_carries_deep_
 	tests/test_methods.py::test_float32_refuses_what_it_cannot_carry \
 	tests/test_materials.py
 
-.PHONY: demo test lint docs clean
+.PHONY: demo test long lint docs clean
 
 demo: $(VENV)/installed
 	$(RUN) -m diffopt demo -o out/demo
@@ -24,6 +25,9 @@ demo: $(VENV)/installed
 test: $(VENV)/installed-test
 	$(RUN) -m pytest $(SPREAD)
 	DIFFOPT_TEST_X64=0 $(RUN) -m pytest $(SPREAD) -m "not slow" tests/kernels $(FLOAT32)
+
+long: $(VENV)/installed-test
+	$(RUN) -m pytest $(SPREAD) --long
 
 lint: $(VENV)/installed-test
 	$(RUN) -m ruff check .

@@ -48,6 +48,11 @@ def pytest_addoption(parser):
         metavar="FILE",
         help="a measured scan on which the methods must agree too (sigma_s: --scan-coherence)",
     )
+    parser.addoption(
+        "--long",
+        action="store_true",
+        help="many more random cases, and the tests marked long: for a night",
+    )
     parser.addoption("--scan-coherence", type=float, default=1.25, metavar="UM")
 
 
@@ -60,10 +65,14 @@ def pytest_generate_tests(metafunc):
 
 
 def pytest_collection_modifyitems(config, items):
-    """Without 64-bit types only what is marked float32, or asks for a dtype, can run."""
-    if X64:
-        return
-    kept = [i for i in items if "dtype" in i.fixturenames or i.get_closest_marker("float32")]
+    """What is marked long runs with --long alone; without 64-bit types only what is marked
+    float32, or asks for a dtype, can run.
+    """
+    kept = items
+    if not config.getoption("long"):
+        kept = [i for i in kept if not i.get_closest_marker("long")]
+    if not X64:
+        kept = [i for i in kept if "dtype" in i.fixturenames or i.get_closest_marker("float32")]
     config.hook.pytest_deselected(items=[i for i in items if i not in kept])
     items[:] = kept
 
@@ -89,6 +98,12 @@ def _programs_are_few():
         return
     if mappings > MOST_MAPPINGS:
         jax.clear_caches()
+
+
+@pytest.fixture(scope="session")
+def long(request):
+    """Whether there is a night's time."""
+    return request.config.getoption("long")
 
 
 @pytest.fixture
