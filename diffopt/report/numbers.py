@@ -17,7 +17,7 @@ from diffopt.previews import markup, studies
 from diffopt.report.page import Section
 
 #: Studies that are run for the page: quick, and of different kinds.
-STUDIES = ("diffraction.expansion", "lobes.count", "diffraction.patch")
+STUDIES = ("diffraction.wavelengths", "lobes.distance", "shadow.bands")
 _LOBES = (1, 2, 4, 8)
 
 
