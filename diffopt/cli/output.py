@@ -1,13 +1,41 @@
 """Folders of results that are complete or absent."""
 
 import contextlib
+import errno
 import os
-import shutil
-import uuid
 from collections.abc import Iterator
 from pathlib import Path
 
 from diffopt.errors import InputError
+from diffopt.io.files import aside, remove
+
+# What is wrong with the disk, not with the program: full, or not to be written to.
+_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
+
+
+@contextlib.contextmanager
+def written(target: Path, kept: str = "") -> Iterator[None]:
+    """Take faults of the disk inside for faults of where the user wants something written.
+
+    Parameters
+    ----------
+    target
+        File or folder, for the error text.
+    kept
+        What is not lost, for the same.
+
+    Raises
+    ------
+    InputError
+        In their place.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in _DISK:
+            raise
+        words = f"{target}: cannot be written: {os.strerror(error.errno).lower()}"
+        raise InputError(words + (f"; {kept}" if kept else "")) from error
 
 
 @contextlib.contextmanager
@@ -20,25 +48,28 @@ def folder(target: Path) -> Iterator[Path]:
     Raises
     ------
     InputError
-        At once, if `target` is a file or cannot be written to.
+        At once, if `target` is a file or cannot be written to; later, if the disk is full.
     """
     target = Path(os.path.abspath(target))
     if target.exists() and not target.is_dir():
         raise InputError(f"{target}: is a file; expected a folder for the results")
     made: list[Path] = []
-    staging = target.parent / f".{target.name}.{uuid.uuid4().hex}"
+    staging = None
     try:
         _make_parents(target.parent, made)
+        staging = aside(target)
         if target.is_dir() and not os.access(target, os.W_OK | os.X_OK):
             raise InputError(f"{target}: the folder cannot be written to")
         try:
             staging.mkdir()
         except OSError as error:
             raise InputError(f"{target}: cannot be written to: {error.strerror}") from error
-        yield staging
-        _move(staging, target)
+        with written(target):
+            yield staging
+            _move(staging, target)
     except BaseException:
-        shutil.rmtree(staging, ignore_errors=True)
+        if staging is not None:
+            remove(staging)
         for path in made:
             with contextlib.suppress(OSError):
                 path.rmdir()

@@ -57,6 +57,7 @@ def command(
     """Precompute transfer; Ctrl-C keeps what is finished, and the same command goes on."""
     from diffopt.cli import precompute_tables
     from diffopt.cli.errors import user_input
+    from diffopt.cli.output import written
     from diffopt.transfer import store
     from diffopt.transfer.compression import CompressionSettings
     from diffopt.transfer.precomputation import begun, precompute, surroundings
@@ -90,10 +91,13 @@ def command(
                 f"{output}: finished with another scene or other settings: {different}; --force "
                 "computes it again"
             )
+        store.tidy(output, own)
         say(f"{output}: finished already; --force computes it again")
     else:
-        store.begin(output)
-        with Working(output, body, settings, afresh=force) as batches:
+        with (
+            written(output, "finished batches are kept, and the same command goes on from them"),
+            Working(store.begin(output), body, settings, afresh=force) as batches,
+        ):
             if batches.kept:
                 say(f"{output}: goes on from {batches.kept} batches of an earlier run")
             seen: list[Progress] = []
@@ -117,7 +121,8 @@ def command(
     if not quiet:
         precompute_tables.tell(rows, output)
     if table is not None:
-        precompute_tables.write(rows, table)
+        with written(table):
+            precompute_tables.write(rows, table)
 
 
 def _say(text: str) -> None:

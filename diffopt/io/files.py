@@ -3,12 +3,13 @@
 import contextlib
 import importlib
 import os
-import uuid
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import IO
 
+from diffopt import processes
 from diffopt.errors import InputError, missing
 
 # First bytes of common files, for error texts that say what a renamed file really is.
@@ -75,6 +76,43 @@ def require_signature(path: Path, signatures: tuple[bytes, ...], expected: str) 
         raise InputError(f"{path}: expected {expected}, found {describe(path)}")
 
 
+def aside(path: Path) -> Path:
+    """A name beside a path for what is to take its place when it is complete.
+
+    The first call for a folder removes what processes that were killed left there under such
+    names.
+    """
+    folder = Path(os.path.abspath(path.parent))
+    if folder not in _swept:
+        _swept.add(folder)
+        sweep(folder)
+    return path.with_name(f".{path.name}.{processes.mark()}")
+
+
+# Folders that were looked through by this process.
+_swept: set[Path] = set()
+
+
+def sweep(folder: Path) -> None:
+    """Remove what has a name of `aside` by a process of this machine that has ended."""
+    try:
+        names = os.listdir(folder)
+    except OSError:  # there is none: what writes to it says so
+        return
+    for name in names:
+        if name.startswith(".") and processes.left(name.rpartition(".")[2]):
+            remove(folder / name)
+
+
+def remove(path: Path) -> None:
+    """Remove a file or a folder as far as that can be done."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
+
+
 @contextlib.contextmanager
 def replacing(path: str | os.PathLike) -> Iterator[IO[bytes]]:
     """Open a temporary file beside ``path`` that takes its place when all went well.
@@ -83,18 +121,59 @@ def replacing(path: str | os.PathLike) -> Iterator[IO[bytes]]:
     ------
     InputError
         If the folder does not exist.
+    OSError
+        If the file cannot be written; it has a name.
     """
     path = Path(path)
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist")
-    aside = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+    temporary = aside(path)
     try:
-        with aside.open("xb") as file:
+        with temporary.open("xb") as file:
             yield file
-        os.replace(aside, path)
-    except BaseException:
-        aside.unlink(missing_ok=True)
+        os.replace(temporary, path)
+    except BaseException as error:
+        remove(temporary)
+        # A full disk is noticed in writing, where only numbers of files are known.
+        if isinstance(error, OSError) and error.errno and error.filename in (None, str(temporary)):
+            error.filename = str(path)
         raise
+
+
+def swap(new: Path, target: Path) -> None:
+    """Put a folder in the place of another; until it is there, `standing` finds the old one."""
+    old = replaced(target)
+    if target.exists():
+        remove(old)
+        os.rename(target, old)
+    try:
+        os.rename(new, target)
+    except BaseException:
+        if old.exists():
+            os.rename(old, target)
+        raise
+    remove(old)
+
+
+def standing(target: Path) -> Path:
+    """A folder, or if a process was killed as it was replaced, where the old one is."""
+    old = replaced(target)
+    return old if old.exists() and not target.exists() else target
+
+
+def replaced(target: Path) -> Path:
+    """Where the old folder is while `swap` puts a new one in its place."""
+    return target.with_name(f".{target.name}.replaced")
+
+
+def settle(folder: Path) -> None:
+    """Wait until all files below a folder, and their names, are on the disk."""
+    for path in [*folder.rglob("*"), folder, folder.parent]:
+        handle = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def openexr(path: str | os.PathLike, instead: str) -> ModuleType:

@@ -7,19 +7,18 @@ the group ``transfer``, chunked and compressed, see `diffopt.transfer.packing`.
 import dataclasses
 import datetime
 import os
-import shutil
-import uuid
 from pathlib import Path
 from typing import Any
 
 from diffopt import __version__
 from diffopt.errors import InputError
-from diffopt.io.files import one_line
+from diffopt.io.files import aside, one_line, remove, replaced, settle, standing, swap, sweep
 from diffopt.transfer import packing, zarrays
 from diffopt.transfer.compression import CompressionSettings
+from diffopt.transfer.locking import Lock
 from diffopt.transfer.precomputation import Transfer
 from diffopt.transfer.settings import KINDS
-from diffopt.transfer.working import FOLDER, Working
+from diffopt.transfer.working import FOLDER, Working, discard
 
 FORMAT = "diffopt transfer"
 VERSION = 1
@@ -50,7 +49,7 @@ def state(path: str | os.PathLike) -> str:
     if not (path / "zarr.json").is_file():
         raise InputError(f"{path}: exists and is not a store of transfer; choose another name")
     _checked(path)
-    return "finished" if (path / _GROUP / "zarr.json").is_file() else "begun"
+    return "finished" if (standing(path / _GROUP) / "zarr.json").is_file() else "begun"
 
 
 def begin(path: str | os.PathLike) -> Path:
@@ -59,13 +58,15 @@ def begin(path: str | os.PathLike) -> Path:
 
     path = Path(path)
     if state(path) == "absent":
-        aside = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+        new = aside(path)
         try:
-            zarr.open_group(aside, mode="w").attrs.update({"format": FORMAT, "version": VERSION})
-            os.rename(aside, path)
-        except BaseException:
-            shutil.rmtree(aside, ignore_errors=True)
-            raise
+            zarr.open_group(new, mode="w").attrs.update({"format": FORMAT, "version": VERSION})
+            os.rename(new, path)
+        except BaseException as error:
+            remove(new)
+            # Another process may have made it meanwhile.
+            if not isinstance(error, OSError) or state(path) == "absent":
+                raise
     return path
 
 
@@ -103,34 +104,28 @@ def save(
 
     settings = settings or CompressionSettings()
     path = begin(path)
-    for old in path.glob(f".{_GROUP}.*"):  # of a process that was killed in writing
-        shutil.rmtree(old, ignore_errors=True)
-    aside = path / f".{_GROUP}.{uuid.uuid4().hex}"
-    try:
-        group = zarr.open_group(aside, mode="w")
-        layout, errors = packing.write(group, transfer, settings)
-        content = {
-            "diffopt": __version__,
-            "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-            "units": _UNITS,
-            "paths": list(KINDS),
-            "vertices": {"initial": transfer.rounds[0].vertices, "final": len(transfer.axes)},
-            "slices": transfer.slices,
-            "settings": dataclasses.asdict(transfer.settings),
-            "rounds": [dataclasses.asdict(one) for one in transfer.rounds],
-            "compression": dataclasses.asdict(settings) | {"errors": errors},
-            **(record or {}),
-        }
-        group.attrs.update({"layout": layout, "record": content})
-        target = path / _GROUP
-        if target.exists():
-            os.rename(target, path / f".{_GROUP}.{uuid.uuid4().hex}")
-        os.rename(aside, target)
-    except BaseException:
-        shutil.rmtree(aside, ignore_errors=True)
-        raise
-    for old in path.glob(f".{_GROUP}.*"):
-        shutil.rmtree(old, ignore_errors=True)
+    with Lock(path / f".{_GROUP}.lock", path):
+        target, new = path / _GROUP, aside(path / _GROUP)
+        try:
+            group = zarr.open_group(new, mode="w")
+            layout, errors = packing.write(group, transfer, settings)
+            content = {
+                "diffopt": __version__,
+                "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+                "units": _UNITS,
+                "paths": list(KINDS),
+                "vertices": {"initial": transfer.rounds[0].vertices, "final": len(transfer.axes)},
+                "slices": transfer.slices,
+                "settings": dataclasses.asdict(transfer.settings),
+                "rounds": [dataclasses.asdict(one) for one in transfer.rounds],
+                "compression": dataclasses.asdict(settings) | {"errors": errors},
+                **(record or {}),
+            }
+            group.attrs.update({"layout": layout, "record": content})
+            swap(new, target)
+        except BaseException:
+            remove(new)
+            raise
     return content
 
 
@@ -144,8 +139,26 @@ def finish(
     clock, cpu = working.spent
     whole = {"identity": working.identity, "seconds": clock, "core_seconds": cpu, **(record or {})}
     content = save(working.path, transfer, whole, settings)
+    settle(working.path / _GROUP)  # or a loss of power would take both
     working.discard()
     return content
+
+
+def tidy(path: str | os.PathLike, identity: dict[str, Any]) -> None:
+    """Remove from a finished store what a process killed at its very end left there.
+
+    Parameters
+    ----------
+    path
+        Of the store.
+    identity
+        What it was computed for: batches of something else stay, as those of a process at work.
+    """
+    target = Path(path) / _GROUP
+    if target.exists():
+        remove(replaced(target))
+    discard(Path(path), identity)
+    sweep(Path(path))
 
 
 def load(path: str | os.PathLike) -> Transfer:
@@ -182,7 +195,7 @@ def record_of(path: str | os.PathLike) -> dict[str, Any]:
 
 def size(path: str | os.PathLike) -> int:
     """Bytes of finished transfer with all that belongs to it."""
-    files = (Path(path) / _GROUP).rglob("*")
+    files = standing(Path(path) / _GROUP).rglob("*")
     return sum(file.stat().st_size for file in files if file.is_file())
 
 
@@ -210,14 +223,17 @@ def _checked(path: Path) -> Any:
 
 
 def _finished(path: Path) -> Any:
-    root = _checked(path)
-    if not (path / _GROUP / "zarr.json").is_file():
+    import zarr
+
+    _checked(path)
+    folder = standing(path / _GROUP)
+    if not (folder / "zarr.json").is_file():
         begun = (path / FOLDER).is_dir()
         raise InputError(
             f"{path}: {'begun, but not finished' if begun else 'holds no transfer'}: precompute it "
             + ("to its end" if begun else "again")
         )
     try:
-        return root[_GROUP]
+        return zarr.open_group(folder, mode="r")
     except Exception as error:
         raise InputError(f"{path}: damaged: {one_line(error)}; precompute it again") from error

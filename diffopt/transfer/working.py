@@ -11,7 +11,6 @@ import hashlib
 import json
 import os
 import re
-import shutil
 import threading
 import time
 import uuid
@@ -24,7 +23,7 @@ import numpy as np
 
 from diffopt import __version__
 from diffopt.errors import InputError
-from diffopt.io.files import replacing
+from diffopt.io.files import aside, remove, replacing
 from diffopt.scenes.scene import Scene
 from diffopt.transfer.angular import Vertices
 from diffopt.transfer.locking import Lock
@@ -79,6 +78,31 @@ def differences(there: dict[str, Any], here: dict[str, Any]) -> str:
     if there.get("diffopt") != here["diffopt"]:
         out.append(f"diffopt {there.get('diffopt')} there, {here['diffopt']} here")
     return "; ".join(out)
+
+
+def discard(path: Path, own: dict[str, Any]) -> None:
+    """Remove the batches of a store that belong to an identity, unless a process is at work."""
+    folder = path / FOLDER
+    if not folder.is_dir() or differences(_recorded(folder) or {}, own):
+        return
+    with contextlib.suppress(InputError), Lock(folder / "lock", path):
+        _remove(folder)
+
+
+def _remove(folder: Path) -> None:
+    """Remove the folder of batches with its lock, at once for all that look for it."""
+    gone = aside(folder)
+    os.rename(folder, gone)
+    remove(gone)
+
+
+def _recorded(folder: Path) -> dict[str, Any] | None:
+    """The identity that batches belong to."""
+    try:
+        found = json.loads((folder / "record.json").read_text())
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) else None
 
 
 class Working:
@@ -200,11 +224,7 @@ class Working:
 
     def discard(self) -> None:
         """Remove all batches, and give the lock back."""
-        # The record last, but for the lock: batches without one are never trusted.
-        for path in [*self.folder.glob("*.npz"), self.folder / "record.json"]:
-            path.unlink(missing_ok=True)
-        self.close()
-        shutil.rmtree(self.folder, ignore_errors=True)
+        _remove(self.folder)
 
     def _own(self) -> tuple[float, float]:
         return time.perf_counter() - self._clock, time.process_time() - self._cpu
@@ -215,11 +235,8 @@ class Working:
     def _begin(self, afresh: bool) -> None:
         for path in self.folder.glob(".*.npz.*"):  # of a run that was killed in writing
             path.unlink(missing_ok=True)
-        record = self.folder / "record.json"
-        old: dict[str, Any] | None = None
-        with contextlib.suppress(OSError, ValueError):
-            old = json.loads(record.read_text())
-        if isinstance(old, dict):
+        old = _recorded(self.folder)
+        if old is not None:
             different = differences(old, self.identity)
             if not different:
                 return
@@ -229,7 +246,7 @@ class Working:
                 )
         for path in self.folder.glob("*.npz"):
             path.unlink()
-        with replacing(record) as file:
+        with replacing(self.folder / "record.json") as file:
             file.write(json.dumps(self.identity, indent=2).encode())
 
     def _sound(self, batch: Vertices) -> bool:
