@@ -19,12 +19,12 @@ import pytest
 import diffopt as do
 from diffopt.cli import main
 from diffopt.errors import InputError
+from diffopt.locking import Lock
 from diffopt.materials import BlinnPhong, Lambert
 from diffopt.scenes import Object, Scene
 from diffopt.transfer import precomputation as precomputing
 from diffopt.transfer import references, slices, store, working
 from diffopt.transfer.compression import CompressionSettings
-from diffopt.transfer.locking import Lock
 from diffopt.transfer.precomputation import precompute
 from diffopt.transfer.settings import TransferSettings
 from diffopt.transfer.slices import Slices

@@ -19,6 +19,7 @@ import jax
 import numpy as np
 
 from diffopt.accuracy import output
+from diffopt.accuracy.keeping import Rows
 from diffopt.accuracy.measurement import compile_ahead, measure
 from diffopt.errors import InputError
 
@@ -173,7 +174,11 @@ class Study:
     against: str | None = None
 
     def run(
-        self, quick: bool = False, progress: Progress | None = None, repeats: int = 5
+        self,
+        quick: bool = False,
+        progress: Progress | None = None,
+        repeats: int = 5,
+        keep: Rows | None = None,
     ) -> "StudyResult":
         """Run every case.
 
@@ -185,6 +190,8 @@ class Study:
             Called as ``progress(done, total, text)`` before each case and at the end.
         repeats
             Timed runs of each case.
+        keep
+            Where rows are kept; those that are there are not measured again.
         """
         cases = self.cases(quick)
         programs: dict[Hashable, Any] = {}
@@ -192,8 +199,14 @@ class Study:
         for done, case in enumerate(cases):
             if progress is not None:
                 progress(done, len(cases), output.label(case.settings))
+            kept = None if keep is None else keep.load(done, case.settings)
+            if kept is not None:
+                rows.append(Row(**{**kept, "settings": case.settings}))
+                continue
             with jax.enable_x64(case.dtype == "float64"):
                 rows.append(_row(case, programs, repeats))
+            if keep is not None:
+                keep.save(done, rows[-1])
         if progress is not None:
             progress(len(cases), len(cases), "")
         return StudyResult(self, tuple(rows))

@@ -38,6 +38,12 @@ def written(target: Path, kept: str = "") -> Iterator[None]:
         raise InputError(words + (f"; {kept}" if kept else "")) from error
 
 
+def beside(target: Path, what: str) -> Path:
+    """Where a command keeps what is not finished yet: .NAME.WHAT beside the target."""
+    target = Path(os.path.abspath(target))
+    return target.with_name(f".{target.name}.{what}")
+
+
 @contextlib.contextmanager
 def folder(target: Path) -> Iterator[Path]:
     """Give a temporary folder beside `target` whose files move into it when all went well.

@@ -1,5 +1,6 @@
 """``diffopt render``: pictures of a scene file."""
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -65,14 +66,18 @@ def command(
     ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
 ) -> None:
-    """Picture of a scene; Ctrl-C ends it and keeps what is finished."""
+    """Picture of a scene; Ctrl-C ends it and keeps what is finished.
+
+    What took longer than some ten seconds is kept, and the same command goes on from it.
+    """
     import dataclasses
 
     from diffopt.cli import render_output
     from diffopt.cli.errors import user_input
+    from diffopt.cli.output import beside, written
     from diffopt.cli.progress import terminal
     from diffopt.cli.scene import one_line
-    from diffopt.io.files import openexr
+    from diffopt.io.files import openexr, remove
     from diffopt.rendering.images import FORMATS
     from diffopt.scenes import load_scene
 
@@ -84,6 +89,8 @@ def command(
             raise InputError(f"-o {target}: the folder {target.parent} does not exist")
         if target.is_dir():
             raise InputError(f"-o {target}: is a folder; expected a file")
+        if not os.access(target.parent, os.W_OK | os.X_OK):
+            raise InputError(f"-o {target}: the folder {target.parent} cannot be written to")
         if target.suffix.lower() == ".exr":
             openexr(target, "as .npz")  # or what takes minutes would be lost
     if exposure is not None and not 0.0 < exposure < float("inf"):
@@ -122,11 +129,16 @@ def command(
         if not quiet:
             for line in render_output.effects(plan):
                 terminal().print(line, markup=False, soft_wrap=True)
-    image = picture(found.scene, camera, settings, plan=plan, layers=layers, quiet=quiet)
+    keep = beside(targets[0], "tiles")
+    image = picture(found.scene, camera, settings, keep, plan=plan, layers=layers, quiet=quiet)
     for target in targets:
-        image.save(target, exposure=brightness)
+        with written(target):
+            image.save(target, exposure=brightness)
     for target in render_output.pictures(image, targets):
-        render_output.save_layers(image, target, brightness)
+        with written(target):
+            render_output.save_layers(image, target, brightness)
+    if not image.interrupted:
+        remove(keep)
     if not quiet:
         render_output.tell(image, targets, [*found.notes, *notes])
     if image.interrupted:
@@ -228,13 +240,20 @@ def chosen(
 
 
 def picture(
-    scene: Any, camera: Any, settings: Any, *, plan: "Plan | None", layers: bool, quiet: bool
+    scene: Any,
+    camera: Any,
+    settings: Any,
+    keep: Path,
+    *,
+    plan: "Plan | None",
+    layers: bool,
+    quiet: bool,
 ) -> "Image":
-    """Render with a bar on the error stream, unless `quiet`."""
+    """Render with a bar on the error stream, unless `quiet`; tiles are in the file `keep`."""
     from diffopt.cli.progress import stages
     from diffopt.rendering import render
 
-    given: dict[str, Any] = {"settings": settings, "layers": layers}
+    given: dict[str, Any] = {"settings": settings, "layers": layers, "keep": keep}
     if plan is not None:
         given["level"] = plan
     if quiet:

@@ -59,6 +59,9 @@ def tell(image: "Image", targets: list[Path], notes: list[str]) -> None:
     table.add_row("level", f"{settings.level}, {settings.spp} samples a pixel")
     table.add_row("picture", f"{columns} x {rows} pixels, {image.channels.count} channels")
     table.add_row("time", _duration(image.seconds))
+    if image.restored:
+        share = f"{100.0 * image.restored:.0f} % of the pixels were done by an earlier run"
+        table.add_row("goes on", share)
     if np.isfinite(image.noise):
         kind = "standard error" if settings.level == "path" else "bound of the error"
         table.add_row("noise", f"{100.0 * image.noise:.2g} % of the mean luminance ({kind})")

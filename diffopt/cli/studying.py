@@ -32,10 +32,14 @@ def accuracy(
         float | None, typer.Option(help="Print the cheapest settings within this error as well.")
     ] = None,
 ) -> None:
-    """Error against time of every approximation: table, plot, CSV."""
+    """Error against time of every approximation: table, plot, CSV.
+
+    With -o rows are kept as they are measured: after a kill the same command goes on.
+    """
     from diffopt import checks
     from diffopt.accuracy import studies
-    from diffopt.cli.output import folder
+    from diffopt.accuracy.keeping import Rows
+    from diffopt.cli.output import beside, folder
     from diffopt.cli.progress import stages, terminal
     from diffopt.errors import InputError
 
@@ -43,19 +47,32 @@ def accuracy(
         checks.tolerance(tolerance)
     names = sorted(studies.NAMES) if name is None else [name]
     chosen = [studies.study(each) for each in names]
-    results = []
+    console = terminal()
+    results, kept = [], []
     with contextlib.ExitStack() as stack:
         # First, so that an unusable folder is refused before minutes of work.
         staging = None if output is None else stack.enter_context(folder(output))
         progress = stack.enter_context(stages(len(chosen)))
         for study in chosen:
+            rows = None
+            if output is not None:
+                rows = Rows(beside(output, f"{study.name}.rows"), study.name, quick)
+                kept.append(stack.enter_context(rows))
+                if rows.found:
+                    console.print(
+                        f"{study.name}: goes on from {len(rows.found)} rows of an earlier run, "
+                        f"kept in {rows.path}",
+                        markup=False,
+                        soft_wrap=True,
+                    )
             with progress.stage(study.name) as report:
-                result = study.run(quick, lambda done, of, _, to=report: to(done, of))
+                result = study.run(quick, lambda done, of, _, to=report: to(done, of), keep=rows)
             if staging is not None:
                 result.plot(staging / f"{study.name}.png")
                 result.save_csv(staging / f"{study.name}.csv")
             results.append(result)
-    console = terminal()
+    for rows in kept:
+        rows.discard()
     for result in results:
         console.print(result.table())
         if tolerance is not None:

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from diffopt.kernels import uniforms
 from diffopt.rendering import shading
 from diffopt.rendering.images import Image
+from diffopt.rendering.keeping import Kept
 from diffopt.rendering.queries import Queries
 from diffopt.rendering.settings import Settings
 from diffopt.rendering.shading import Rays
@@ -52,6 +53,7 @@ def picture(
     progress: Progress | None = None,
     workers: int = 1,
     stage: Stage | None = None,
+    keep: Kept | None = None,
 ) -> Image:
     """Picture of a scene by one level.
 
@@ -71,6 +73,8 @@ def picture(
         Passes followed at a time, each by a thread. The picture does not depend on it.
     stage
         The scene as arrays, where it is prepared already.
+    keep
+        Where finished tiles are kept; those that are there are not rendered again.
 
     A keyboard interrupt ends the work and keeps the finished tiles; see `Image.done`.
     """
@@ -81,7 +85,11 @@ def picture(
     runs, together = tiles(camera, settings)
     size = len(runs[0])
     image = Image.blank(scene, camera, settings)
-    passes = [(k, first) for k in range(len(runs)) for first in range(0, settings.spp, together)]
+    if keep is not None:
+        keep.restore(image)
+    before, done = image.seconds, image.done.reshape(-1)
+    left = [k for k, pixels in enumerate(runs) if not done[pixels].all()]
+    passes = [(k, first) for k in left for first in range(0, settings.spp, together)]
 
     def one(which: tuple[int, int]) -> np.ndarray:
         number, first = which
@@ -103,13 +111,16 @@ def picture(
             pixels = runs[number]
             image.fill(pixels, total[: len(pixels)], squares[: len(pixels)], settings.spp)
             _layers(image, camera, scene, caster, pixels, size)
+            image.seconds = before + time.perf_counter() - begin
+            if keep is not None:
+                keep.note(image)
             if progress is not None:
                 progress(number + 1, len(runs))
     except KeyboardInterrupt:
         image.interrupted = True
     finally:
         results.close()
-    image.seconds = time.perf_counter() - begin
+    image.seconds = before + time.perf_counter() - begin
     return image
 
 

@@ -46,6 +46,8 @@ class Image:
         How long that took.
     interrupted
         Whether it was ended before all was done.
+    restored
+        Share of the pixels that an earlier run had done, see `diffopt.rendering.render`.
     layers
         Radiance by effect, [h, w, C] each, where they were asked for: their sum is `radiance`.
         Light is as it would arrive unshadowed; what shadows take away is theirs, below 0.
@@ -62,6 +64,7 @@ class Image:
     settings: Settings
     seconds: float = 0.0
     interrupted: bool = False
+    restored: float = 0.0
     layers: dict[str, Float[np.ndarray, "h w C"]] = dataclasses.field(default_factory=dict)
 
     @staticmethod

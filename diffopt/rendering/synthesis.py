@@ -1,6 +1,7 @@
 """The entry points: a picture of a scene by one of the levels of image synthesis."""
 
 import dataclasses
+import os
 from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
@@ -13,6 +14,7 @@ from diffopt.rendering.coupled import Coupled
 from diffopt.rendering.direct import Direct
 from diffopt.rendering.effects import EVERYTHING, Composition
 from diffopt.rendering.images import Image
+from diffopt.rendering.keeping import Kept, identity
 from diffopt.rendering.pathtrace import Paths
 from diffopt.rendering.radiosity_settings import RadiosityRaysSettings, RadiositySettings
 from diffopt.rendering.recording import View
@@ -71,6 +73,7 @@ def render(
     dtype: Any = "float32",
     progress: driver.Progress | None = None,
     layers: bool = False,
+    keep: str | os.PathLike | None = None,
     **options: Any,
 ) -> Image:
     """Render a scene.
@@ -94,6 +97,9 @@ def render(
     layers
         Keep the light of each effect apart, see `Image.layers`: by paths, also where the
         plan's level would be another one.
+    keep
+        A file for what is finished, written every ten seconds or so: after a kill the same call
+        goes on from it, to the same bits. To be removed when the picture is saved.
     **options
         Fields of the level's settings, such as ``spp=256`` or ``seed=1``.
 
@@ -120,6 +126,9 @@ def render(
         chosen = told
     even = not isinstance(chosen, PathSettings)
     follow = _level(chosen, scene, composition, layers)()
+    kept = None
+    if keep is not None:
+        kept = Kept(keep, identity(scene, camera, chosen, composition, layers, dtype))
     return driver.picture(
         scene,
         camera,
@@ -130,6 +139,7 @@ def render(
         progress=progress,
         # The other levels keep what they have prepared.
         workers=1 if even else workers.count(),
+        keep=kept,
     )
 
 

@@ -13,9 +13,9 @@ from typing import Any
 from diffopt import __version__
 from diffopt.errors import InputError
 from diffopt.io.files import aside, one_line, remove, replaced, settle, standing, swap, sweep
+from diffopt.locking import Lock
 from diffopt.transfer import packing, zarrays
 from diffopt.transfer.compression import CompressionSettings
-from diffopt.transfer.locking import Lock
 from diffopt.transfer.precomputation import Transfer
 from diffopt.transfer.settings import KINDS
 from diffopt.transfer.working import FOLDER, Working, discard

@@ -24,9 +24,9 @@ import numpy as np
 from diffopt import __version__
 from diffopt.errors import InputError
 from diffopt.io.files import aside, remove, replacing
+from diffopt.locking import Lock
 from diffopt.scenes.scene import Scene
 from diffopt.transfer.angular import Vertices
-from diffopt.transfer.locking import Lock
 from diffopt.transfer.reflectors import reflectors
 from diffopt.transfer.settings import TransferSettings
 from diffopt.transfer.slices import Slices
