@@ -6,9 +6,9 @@ asks for float64 is left out.
 
 Compilation takes most of its time. Programs are kept in `.pytest_cache`, where the other
 workers, the second pass, the commands that tests run and the next run find them. Most of
-them run once, on little: the compiler is told to spend less on each. The pass without
-64-bit types is compiled as users' programs are, and with ``XLA_FLAGS=`` set, if to nothing,
-so is the whole suite.
+them run once, on little: the compiler is told to spend less on each, and least but in the
+modules of `OPTIMISED`. The pass without 64-bit types is compiled as users' programs are, and
+with ``XLA_FLAGS=`` set, if to nothing, so is the whole suite.
 """
 
 import itertools
@@ -27,10 +27,22 @@ QUICK = (
     "--xla_backend_optimization_level=1",
     "--xla_llvm_disable_expensive_passes=true",
 )
-if X64:
-    os.environ.setdefault("XLA_FLAGS", " ".join(QUICK))
+HURRIED = X64 and "XLA_FLAGS" not in os.environ
+if HURRIED:
+    os.environ["XLA_FLAGS"] = " ".join(QUICK)
+    # For the commands that tests run as well.
+    os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
+# Modules whose programs run for longer than they compile, or are judged by their last digits.
+OPTIMISED = {
+    "test_hard_cases",
+    "test_heightfield",
+    "test_reflectance",
+    "test_transfer_inputs",
+    "test_transfer_precompute",
+}
 
 import jax  # noqa: E402
+import lengths  # noqa: E402
 import pytest  # noqa: E402
 
 jax.config.update("jax_enable_x64", X64)
@@ -59,6 +71,7 @@ def pytest_addoption(parser):
 def pytest_generate_tests(metafunc):
     if "surface_name" in metafunc.fixturenames:
         samples = ["compact_disc", "snake_skin", "gaussian_roughness"]
+        samples = lengths.but({"compact_disc", "gaussian_roughness"}, samples)
         metafunc.parametrize("surface_name", samples + metafunc.config.getoption("scan"))
     if "dtype" in metafunc.fixturenames:
         metafunc.parametrize("dtype", DTYPES)
@@ -84,6 +97,14 @@ MOST_MAPPINGS = 40_000
 
 
 tests_run = itertools.count()
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _hurried(request):
+    """How much the compiler is asked to do for a module."""
+    if HURRIED:
+        name = request.module.__name__.rpartition(".")[-1]
+        jax.config.update("jax_disable_most_optimizations", name not in OPTIMISED)
 
 
 @pytest.fixture(autouse=True)

@@ -104,6 +104,7 @@ def test_everything_is_path_tracing(full, camera):
     np.testing.assert_allclose(every.radiance, right.radiance, rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.long
 def test_parts_told_apart_keep_the_mean(camera):
     """A material's matte and glossy parts by chance: the mean of the picture stays.
 
@@ -323,6 +324,7 @@ def test_plans_are_values(camera):
     assert one.summary()["effects"][0]["effect"] == planning.EFFECTS[0]
 
 
+@pytest.mark.long
 def test_less_tolerance_leaves_less_out(full, camera):
     plans = [do.plan(full, camera, t) for t in (0.3, 0.05, 0.005)]
     sizes = [len(plan.excluded) for plan in plans]
@@ -372,7 +374,7 @@ def test_layers_need_paths(camera):
         do.render(room(), camera, "recursive", layers=True)
 
 
-@pytest.mark.parametrize("tolerance", [0.1, 0.03])
+@pytest.mark.parametrize("tolerance", [pytest.param(0.1, marks=pytest.mark.long), 0.03])
 def test_planned_pictures_are_within_the_tolerance(camera, tolerance):
     """Against path tracing of everything with another seed, its own noise taken out.
 

@@ -183,6 +183,7 @@ def test_refusals_of_the_command(words, said, tmp_path, capsys, monkeypatch):
     assert not out.exists()
 
 
+@pytest.mark.long
 def test_there_are_many_scenes_and_all_can_be_made(monkeypatch):
     # For few directions no tables are baked, which would take most of the time.
     monkeypatch.setattr(plan_scenes_more, "_PAIRS", 20_000)
@@ -198,6 +199,7 @@ def test_there_are_many_scenes_and_all_can_be_made(monkeypatch):
     plan_scenes_more._diffracting.cache_clear()
 
 
+@pytest.mark.long
 def test_the_large_scene_plans():
     scene, camera = plan_scenes.large(2000)
     camera = dataclasses.replace(camera, resolution=SIZE)

@@ -269,6 +269,7 @@ def test_mirrors_are_followed_by_rays(reference):
     np.testing.assert_allclose(coherent.radiance[~ball], plain.radiance[~ball], rtol=1e-4)
 
 
+@pytest.mark.long
 def test_refinement_lowers_the_error():
     floor = scenes.Object(scenes.Plane(2.0, 2.0), Lambert(0.5))
     scene = scenes.Scene([floor], [scenes.Point((0.2, 0.1, 0.3), 1.0)])
@@ -301,6 +302,7 @@ def test_derived_ambient_light():
     np.testing.assert_allclose(even_light(first, mean, 1.0), 2.0, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_derived_ambient_light_is_nearer_to_the_whole(reference):
     camera, exact = reference
     plain, derived = (

@@ -166,7 +166,11 @@ def two_metal_balls():
 
 @pytest.mark.parametrize(
     ("level", "options"),
-    [("incremental", {}), ("recursive", {}), ("path", {"spp": 2, "depth": 2})],
+    [
+        pytest.param("incremental", {}, marks=pytest.mark.long),
+        ("recursive", {}),
+        ("path", {"spp": 2, "depth": 2}),
+    ],
 )
 def test_derivatives_at_fixed_visibility(level, options):
     scene = two_metal_balls()

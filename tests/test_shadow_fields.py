@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shadow_cases as cases
+from lengths import but
 
 from diffopt import shadows
 from diffopt.accuracy import shadow_scenes
@@ -56,7 +57,7 @@ def scene_error(name, settings):
     return shadow_scenes.rms(found / right.unshadowed, right)
 
 
-@pytest.mark.parametrize("bands", [4, 6, 8])
+@pytest.mark.parametrize("bands", but([4, 6], [4, 6, 8]))
 @pytest.mark.parametrize("name", shadow_scenes.SINGLE)
 def test_irradiance_against_rays(name, bands):
     error = scene_error(name, ShadowSettings(bands=bands))

@@ -36,6 +36,7 @@ def test_few_rays_err_more():
     assert rows[1].error < rows[0].error
 
 
+@pytest.mark.long
 def test_occluders_in_the_study():
     rows = run_some("shadow.combination", (0, 1, 2)).rows
     assert [row.settings["combination"] for row in rows] == ["sum", "product", "exponential"]

@@ -231,6 +231,7 @@ def test_no_face_has_an_area():
         precompute(do.Scene([do.Object(bare(line, [[0, 1, 2], [0, 1, 3]]), GLOSSY)]), LEAST)
 
 
+@pytest.mark.long
 def test_three_faces_at_one_edge(even):
     """As where a wall stands in the middle of a floor, all of one mesh; split across the edge."""
     vertices = [[0, -1, 0], [0, 1, 0], [1, 0, 0], [-1, 0, 0], [0, 0, 1]]
@@ -357,7 +358,7 @@ def test_the_coarsest_level_exceeds_the_finest():
         TransferSettings(coarsest=3, finest=2)
 
 
-@pytest.mark.parametrize("lobes", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("lobes", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_the_fewest_of_everything(lobes, even):
     """One ray set, one level of views, one vertex at a time."""
     settings = TransferSettings(

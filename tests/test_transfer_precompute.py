@@ -119,6 +119,7 @@ def test_the_floor_is_split_next_to_what_stands_on_it(transfer):
     assert level[top].max() <= 1
 
 
+@pytest.mark.long
 def test_uniform_and_adaptive_agree(transfer, held, seen):
     """All triangles split twice: four times the vertices, the same picture."""
     whole = precompute(do.Scene(on_a_floor()), QUICK, uniform=2)
@@ -154,6 +155,7 @@ def test_pictures_agree_with_path_tracing(name, held, seen):
     assert np.median(np.abs(error)) < 0.02 * mean + np.median(noise)
 
 
+@pytest.mark.long
 def test_a_turned_sky_is_a_sky_of_turned_lobes(held, seen):
     angle = 0.8
     turn = np.array(

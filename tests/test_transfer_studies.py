@@ -193,6 +193,7 @@ def test_cases_are_different(name):
         assert len(set(found)) == len(found) >= 2
 
 
+@pytest.mark.long
 def test_more_vertices_err_less():
     rows = studies.study("transfer.tolerance").run(quick=True).rows
     assert [row.settings["tolerance"] for row in rows] == [0.9, 0.1]
@@ -218,6 +219,7 @@ def test_stored_slices_err_little():
     assert size[1] < 0.8 * size[0]
 
 
+@pytest.mark.long
 def test_ways_to_average_light_agree():
     rows = studies.study("transfer.lighting").run(quick=True).rows
     off = [float(row.note.split(" ")[0]) for row in rows]

@@ -148,6 +148,7 @@ class TestRecovery:
         assert fit.heightfield.heights.dtype == jnp.float32
         assert error(fit) < 2e-3
 
+    @pytest.mark.long
     def test_a_free_gain_is_found(self, data):
         fit = fit_heights(measured(gain=1.4, free="free"), surface(START))
         assert fit.converged, fit.reason
@@ -157,6 +158,7 @@ class TestRecovery:
         wrong = fit_heights(measured(gain=1.4), surface(START), max_steps=200)
         assert wrong.misfit["chi2"] > 10 * fit.misfit["chi2"]
 
+    @pytest.mark.long
     def test_one_window_recovers_what_it_sees(self):
         start = surface(TRUTH + field(1, 0.02))
         fit = fit_heights(
@@ -337,6 +339,7 @@ class TestErrors:
         assert (found(16) > exact * (1 - 1e-6)).all()
         assert (found(16) > found(rank) * (1 - 1e-6)).all()
 
+    @pytest.mark.long
     def test_errors_are_of_the_size_stated(self, data):
         """Truth and noise drawn from what the fit assumes."""
         fit = fit_heights(
@@ -361,6 +364,7 @@ class TestRunning:
         assert fit.reason.startswith("Stopped after 15 steps")
         assert fit.reason in str(fit)
 
+    @pytest.mark.long
     def test_a_start_too_far_is_no_answer(self, data):
         fit = fit_heights(data, surface(field(7, 0.15)), max_steps=200)
         assert not fit.converged

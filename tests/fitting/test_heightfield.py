@@ -25,7 +25,7 @@ def simulated(surface, rng, wo=WO, **options):
 TRUE = Binary(1.9, 0.21, 0.3, 0.0, -0.9)
 
 
-@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("known", [pytest.param(True, marks=pytest.mark.long), False])
 def test_rivals_are_ranked(known, rng):
     data = simulated(TRUE, rng)
     if not known:
@@ -73,6 +73,7 @@ def test_an_interrupted_comparison_returns_the_best_so_far(rng):
     assert "interrupted" in fit.reason
 
 
+@pytest.mark.long
 def test_a_scan_and_free_heights(rng):
     true = Sinusoidal(2.0, 0.1, 0.3, 0.0)
     scan = true.heightfield((48, 48), 0.125, edges="averaged")
@@ -127,6 +128,7 @@ def test_a_loop_of_fits_compiles_once(rng):
     assert sizes == (solving.solve._cached._cache_size(), forward.job._cached._cache_size())
 
 
+@pytest.mark.long
 def test_curves_end_at_the_loss(rng):
     for solver in ("normal-lm", "lm", "dogleg", "bfgs"):
         settings = fitting.FitSettings(solver=solver, stages=0, max_steps=50)
@@ -150,6 +152,7 @@ def test_float32_data(rng):
         assert float(fit.model.get(name)) == pytest.approx(float(TRUE.get(name)), abs=4 * error)
 
 
+@pytest.mark.long
 def test_what_spreads_lines_starts_from_the_lines(rng):
     true = fitting.reflectance.templates.NAMED["ridges"]().replaced(
         {

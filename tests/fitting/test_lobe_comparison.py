@@ -29,6 +29,7 @@ def found():
         return comparison.compare(material, (2,), wo=wo, methods=METHODS, repeats=1, samples=100)
 
 
+@pytest.mark.long
 def test_solvers_end_at_one_error_below_that_of_em(found):
     error = {method: found.row(method, 2).error for method in METHODS}
     # Least squares of one problem from one start, in float32 and float64.
@@ -64,6 +65,7 @@ def test_memory_holds_at_least_the_slices(found):
     assert found.row("scipy-trf", 2).memory_bytes is None
 
 
+@pytest.mark.long
 def test_memory_of_a_fit_in_rounds_is_that_of_its_largest_program():
     key, few = jax.random.key(0), LobeSettings(rings=8, sectors=8)
     wo = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8]])

@@ -219,6 +219,7 @@ def test_environment_with_a_sun():
     assert bool((fit.lobes.alpha >= 0).all())
 
 
+@pytest.mark.long
 def test_rough_and_measured_materials(wo):
     """GGX in three channels, and a table of half and difference angles of a metallic gloss."""
     gold = [1.0, 0.8, 0.3] * Microfacet(0.4)

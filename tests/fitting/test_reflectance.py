@@ -97,6 +97,7 @@ def test_interrupted(rng):
     assert float(fit.model.period) == pytest.approx(2.3, rel=0.01)
 
 
+@pytest.mark.long
 def test_solvers_agree(rng):
     data = simulated(Binary(1.9, 0.21, 0.3, 0.0, -0.9), rng)
     start = Binary(1.85, 0.2, 0.28, 0.0, -0.88)
@@ -110,6 +111,7 @@ def test_solvers_agree(rng):
     assert np.ptp(list(periods.values())) < 0.1 * error
 
 
+@pytest.mark.long
 def test_coarse_windows_widen_the_basin(rng):
     data = simulated(Sinusoidal(2.3, 0.09, 0.0, 0.6), rng)
     start = Sinusoidal(1.75, 0.12, 0.0, 0.55)
@@ -161,7 +163,7 @@ def test_residuals_have_the_gradient_of_differences(rng):
         assert slope[k] == pytest.approx(expected, rel=1e-4, abs=1e-5 * np.abs(slope).max())
 
 
-@pytest.mark.parametrize("stop", [False, True])
+@pytest.mark.parametrize("stop", [pytest.param(False, marks=pytest.mark.long), True])
 def test_a_wrong_answer_is_tried_again(stop, rng):
     """A saw is no sine: the second try cannot help, and leaves the first."""
     seen = []
