@@ -46,7 +46,7 @@ def checked(text):
 def made(tmp_path_factory):
     """The quick sections; the whole page is that of `make demo`."""
     folder = tmp_path_factory.mktemp("demo") / "page"
-    only = "stability,shadows"
+    only = "lobes,stability,shadows"
     assert main(["demo", "-o", str(folder), "--size", "64", "--only", only]) == 0
     return folder
 
