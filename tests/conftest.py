@@ -37,6 +37,7 @@ OPTIMISED = {
     "test_hard_cases",
     "test_heightfield",
     "test_reflectance",
+    "test_rendering_mitsuba",
     "test_transfer_inputs",
     "test_transfer_precompute",
 }
