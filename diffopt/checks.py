@@ -54,7 +54,8 @@ def directions(name: str, value: Values) -> None:
     array = concrete(value)
     if array is None or array.size == 0:
         return
-    length = np.linalg.norm(array.astype(np.float64), axis=-1)
+    with np.errstate(over="ignore"):  # then the length is infinite, and is said to be
+        length = np.linalg.norm(array.astype(np.float64), axis=-1)
     worst = length.flat[np.argmax(np.abs(np.nan_to_num(length, nan=np.inf) - 1.0))]
     if not abs(worst - 1.0) <= 1e-3:
         raise InputError(

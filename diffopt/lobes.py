@@ -8,7 +8,6 @@ the horizon.
 
 import json
 import os
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from diffopt import checks
 from diffopt.errors import InputError
+from diffopt.io import limits, numpy_files
 from diffopt.io.files import existing_file, replacing
 from diffopt.kernels import vmf, vmf_pairs, vmf_sampling
 
@@ -200,11 +200,10 @@ class Lobes(eqx.Module):
         path = existing_file(path)
         try:
             if path.suffix == ".npz":
-                # Opened here: of an archive that is none, np.load leaves the file open.
-                with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
-                    arrays = {name: content[name] for name in _FIELDS}
+                content = numpy_files.archive(path)
+                arrays = {name: content[name] for name in _FIELDS}
             else:
-                found = json.loads(path.read_text())["lobes"]
+                found = json.loads(limits.text(path, limits.MOST_JSON))["lobes"]
                 arrays = {name: np.asarray(found[name], np.float64) for name in _FIELDS}
             for name, array in arrays.items():
                 if array.dtype.kind not in "fiu":
@@ -212,8 +211,9 @@ class Lobes(eqx.Module):
             kept = {n: jnp.asarray(a, jnp.result_type(float)) for n, a in arrays.items()}
             return Lobes(**kept)
         except InputError as error:
-            raise InputError(f"{path}: {error}") from None
-        except (KeyError, TypeError, ValueError, OSError, zipfile.BadZipFile) as error:
+            text = str(error).removeprefix(f"{path}: ")
+            raise InputError(f"{path}: {text}") from None
+        except (KeyError, TypeError, ValueError, OSError, OverflowError, RecursionError) as error:
             raise InputError(
                 f"{path}: expected lobes ({', '.join(_FIELDS)}) as Lobes.save writes them; {error}"
             ) from None

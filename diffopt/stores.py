@@ -6,7 +6,7 @@ import os
 import shutil
 import uuid
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,9 @@ from jaxtyping import Array, Float
 
 from diffopt import checks
 from diffopt.checks import Values
+from diffopt.diffraction import Shadowing
 from diffopt.errors import InputError
+from diffopt.io import zarr_files
 from diffopt.io.files import one_line
 from diffopt.kernels import frames, prefactor
 from diffopt.lookup import Table, reflect
@@ -121,7 +123,13 @@ def save(path: str | os.PathLike, table: Table, record: dict[str, Any]) -> None:
         store = zarr.open_group(aside, mode="w")
         for name in _ARRAYS:
             values = np.asarray(getattr(table, name))
-            store.create_array(name, data=values, chunks=_chunks(values.shape))
+            # Zeros as well: a chunk that is not there is one that was lost.
+            store.create_array(
+                name,
+                data=values,
+                chunks=_chunks(values.shape),
+                config={"write_empty_chunks": True},
+            )
         store.attrs.update(
             {
                 "format": FORMAT,
@@ -167,8 +175,10 @@ def load_table(path: str | os.PathLike) -> BakedBRDF:
         what = "is a file" if path.exists() else "no such folder"
         raise InputError(f"{path}: {what}; expected the folder of a saved table")
     try:
-        store = zarr.open_group(path, mode="r")
+        store = zarr_files.opened(path)
         attributes: dict[str, Any] = dict(store.attrs)
+    except InputError:
+        raise
     except Exception as error:
         raise InputError(f"{path}: not a saved table: {one_line(error)}") from error
     if attributes.get("format") != FORMAT:
@@ -183,29 +193,48 @@ def load_table(path: str | os.PathLike) -> BakedBRDF:
             item = store[name]
             if not isinstance(item, zarr.Array):
                 raise InputError(f"{path}: {name} is not an array")
-            if item.nchunks_initialized < item.nchunks:
-                raise InputError(
-                    f"{path}: {item.nchunks - item.nchunks_initialized} of {item.nchunks} chunks "
-                    f"of {name} are missing: bake the table again"
-                )
-            arrays[name] = np.asarray(item[...])
-    except InputError:
-        raise
+            arrays[name] = zarr_files.read(path, item)
+        settings = _settings(attributes)
+        record = attributes["record"]
+        _fitting(arrays, settings)
+    except InputError as error:
+        text = str(error).removeprefix(f"{path}: ")
+        raise InputError(f"{path}: {text}: bake the table again") from error
     except Exception as error:
         raise InputError(f"{path}: damaged: {one_line(error)}; bake the table again") from error
     if arrays["coefficients"].dtype == np.float64 and jnp.ones(()).dtype != jnp.float64:
         raise InputError(
             f"{path}: a float64 table; enable 64-bit types (jax_enable_x64) to read it"
         )
-    checks.choice(f"{path}: prefactor", attributes["prefactor"], prefactor.NAMES)
-    table = Table(
-        **{name: jnp.asarray(values) for name, values in arrays.items()},
-        order=int(attributes["order"]),
-        prefactor=attributes["prefactor"],
-        shadowing=attributes["shadowing"],
-        relative=bool(attributes["relative"]),
-    )
-    return BakedBRDF(table, attributes["record"])
+    table = Table(**{name: jnp.asarray(values) for name, values in arrays.items()}, **settings)
+    return BakedBRDF(table, record)
+
+
+def _settings(attributes: dict[str, Any]) -> dict[str, Any]:
+    """Static fields of a table, each of its kind."""
+    found = {name: attributes[name] for name in ("order", "prefactor", "shadowing", "relative")}
+    checks.choice("prefactor", found["prefactor"], prefactor.NAMES)
+    checks.choice("shadowing", found["shadowing"], get_args(Shadowing))
+    if type(found["order"]) is not int or not 1 <= found["order"] <= 3:
+        raise InputError(f"order must be 1, 2 or 3; received {found['order']!r}")
+    if type(found["relative"]) is not bool:
+        raise InputError(f"relative must be true or false; received {found['relative']!r}")
+    return found
+
+
+def _fitting(arrays: dict[str, np.ndarray], settings: dict[str, Any]) -> None:
+    """Refuse arrays that are no table of B-splines."""
+    kind = arrays["coefficients"].dtype
+    if any(values.dtype != kind for values in arrays.values()) or kind.kind != "f":
+        raise InputError("its arrays are of different types; expected one of real numbers")
+    shape = arrays["coefficients"].shape
+    if len(shape) != 4 or 0 in shape:
+        raise InputError(f"coefficients have the shape {shape}; expected [V, U, W, K]")
+    for name in _ARRAYS[1:]:
+        if arrays[name].shape != (3,) or not np.isfinite(arrays[name]).all():
+            raise InputError(f"{name} must be three finite numbers")
+    if not (arrays["step"] > 0.0).all():
+        raise InputError(f"step must be above 0; received {arrays['step'].min():g}")
 
 
 def _chunks(shape: tuple[int, ...]) -> tuple[int, ...]:

@@ -28,7 +28,8 @@ from diffopt.errors import InputError
 from diffopt.fitting import measured_text
 from diffopt.fitting.measured import COLOURS, Gain, Measured, Quantity
 from diffopt.fitting.measured_text import expected
-from diffopt.io.files import existing_file, one_line, replacing, require_signature
+from diffopt.io import numpy_files
+from diffopt.io.files import existing_file, one_line, replacing
 from diffopt.io.units import to_micrometres
 
 FORMAT, VERSION = "diffopt measured", 1
@@ -133,7 +134,7 @@ def is_measured(path: str | os.PathLike) -> bool:
                 return "heights.npy" not in archive.namelist() and bool(
                     {"wi.npy", "wo.npy"} & set(archive.namelist())
                 )
-        except zipfile.BadZipFile:
+        except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
             return False
     return suffix == ".csv" and measured_text.has_names(path)
 
@@ -159,13 +160,7 @@ def _entries(measured: Measured) -> dict[str, np.ndarray]:
 
 
 def _read_npz(path: Path, given: Mapping[str, Any]) -> dict[str, Any]:
-    require_signature(path, (b"PK\x03\x04",), "a NumPy archive (.npz)")
-    try:
-        # Opened here: of a damaged archive np.load leaves its own file open.
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            content = {name: archive[name] for name in archive.files}
-    except (ValueError, EOFError, OSError, KeyError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path}: the archive cannot be read: {one_line(error)}") from error
+    content = numpy_files.archive(path)
     attributes = _attributes(path, content.pop("attributes", None))
     for name, array in content.items():
         if name not in _ARRAYS:
@@ -206,7 +201,7 @@ def _attributes(path: Path, entry: np.ndarray | None) -> dict[str, Any]:
         units = found.get("units", {})
         if not isinstance(units, dict):
             raise TypeError(f"units: {units!r}")
-    except (TypeError, ValueError, AttributeError) as error:
+    except (TypeError, ValueError, AttributeError, RecursionError) as error:
         raise InputError(f"{path}: attributes must be a JSON object; {one_line(error)}") from error
     if found.pop("format", FORMAT) != FORMAT:
         raise InputError(f"{path}: expected the format {FORMAT!r} in attributes; received another")

@@ -25,7 +25,7 @@ import io
 import math
 import re
 from collections.abc import Collection
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +34,7 @@ import numpy as np
 from diffopt import checks, colour
 from diffopt.errors import InputError
 from diffopt.illuminants import COMMON
+from diffopt.io import limits
 from diffopt.io.units import to_micrometres
 
 if TYPE_CHECKING:
@@ -55,7 +56,8 @@ KEYS = (
 _CHANNELS = {"xyz": ("X", "Y", "Z"), "rgb": ("R", "G", "B")}
 _OF_COLUMNS = {"xyz": ("xyz",), "rgb": ("rgb", "srgb"), "": ("spectral", "relative", "power")}
 
-_KEY = re.compile(r"^#\s*([A-Za-z_]\w*)\s*:\s*(.*?)\s*$")
+# Of a line without blanks at its ends.
+_KEY = re.compile(r"^#\s*([A-Za-z_]\w*)\s*:\s*(.*)$")
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _LENGTH = re.compile(rf"^({_NUMBER})\s*([^\d\s.,]\S*)$")
 
@@ -134,7 +136,7 @@ def _separator(line: str) -> str:
 def _table(path: Path, found: dict[str, Any]) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """Names of columns, and the words of each row with its line; keys go into `found`."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = limits.text(path, limits.MOST_TEXT).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: expected text in UTF-8; {error.reason}") from error
     names: list[str] = []
@@ -150,7 +152,10 @@ def _table(path: Path, found: dict[str, Any]) -> tuple[list[str], list[tuple[int
             continue
         if not names:
             mark = _separator(line)
-        words = [word.strip() for word in next(csv.reader([line], delimiter=mark))]
+        try:
+            words = [word.strip() for word in next(csv.reader([line], delimiter=mark, strict=True))]
+        except csv.Error as error:
+            raise InputError(f"{path}: line {number}: {error}") from None
         if not names:
             names = [" ".join(word.split()) for word in words]
             continue
@@ -210,7 +215,7 @@ def _length(what: str, text: str, example: str) -> Decimal:
     factor = to_micrometres(match.group(2), what)
     try:
         return Decimal(match.group(1)) * Decimal(repr(factor))
-    except InvalidOperation:
+    except ArithmeticError:
         raise InputError(f"{what} must be a number; received {match.group(1)!r}") from None
 
 

@@ -24,8 +24,8 @@ from diffopt.cli.limits import refuse_enormous
 from diffopt.drawing import tones
 from diffopt.drawing.lobe_fits import Function, in_blocks
 from diffopt.errors import InputError
-from diffopt.io import environments
-from diffopt.io.files import existing_file, one_line
+from diffopt.io import environments, numpy_files
+from diffopt.io.files import existing_file
 from diffopt.materials import naming, scattered
 from diffopt.materials.base import Material
 
@@ -134,12 +134,8 @@ def _text(path: Path) -> Target | None:
 
 
 def _arrays(path: Path, suffix: str) -> Target | None:
-    try:
-        found = np.load(path, allow_pickle=False)
-        content = {name: found[name] for name in found.files} if suffix == ".npz" else None
-    except (ValueError, EOFError, OSError, KeyError) as error:
-        raise InputError(f"{path}: cannot be read: {one_line(error)}") from error
-    if content is not None:
+    if suffix == ".npz":
+        content = numpy_files.archive(path)
         if "directions" not in content:
             return None
         if "values" in content:
@@ -148,6 +144,7 @@ def _arrays(path: Path, suffix: str) -> Target | None:
                 "samples have directions and perhaps weights"
             )
         return _samples(path, content["directions"], content.get("weights"))
+    found = numpy_files.array(path)
     if found.dtype.kind not in "fiu":
         raise InputError(f"{path}: expected real numbers; received {found.dtype}")
     if found.ndim == 2 and found.shape[1] in (3, 4):
@@ -160,6 +157,9 @@ def _arrays(path: Path, suffix: str) -> Target | None:
 
 
 def _samples(path: Path, directions: np.ndarray, weights: np.ndarray | None) -> Target:
+    for name, values in (("directions", directions), ("weights", weights)):
+        if values is not None and values.dtype.kind not in "fiu":
+            raise InputError(f"{path}: {name} must be real numbers; received {values.dtype}")
     directions = np.asarray(directions, np.float64)
     if directions.ndim != 2 or directions.shape[1] != 3 or not len(directions):
         raise InputError(f"{path}: expected {_SAMPLES}; received {directions.shape}")

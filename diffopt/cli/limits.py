@@ -5,9 +5,8 @@ import zipfile
 from pathlib import Path
 
 from diffopt.errors import InputError
-
-#: Largest number of samples read: 2^27 samples are 0.5 GB of float32 and several of work space.
-MOST_SAMPLES = 2**27
+from diffopt.io import numpy_files
+from diffopt.io.limits import MOST_SAMPLES
 
 
 def refuse_enormous(path: Path) -> None:
@@ -49,12 +48,8 @@ def refuse_enormous(path: Path) -> None:
 def _npy(file) -> int | None:
     import math
 
-    from numpy.lib import format as layout
-
     try:
-        version = layout.read_magic(file)
-        read = layout.read_array_header_1_0 if version == (1, 0) else layout.read_array_header_2_0
-        return math.prod(read(file)[0])
+        return math.prod(numpy_files.claimed(file)[0])
     except ValueError:
         return None
 
@@ -68,7 +63,7 @@ def _archive(path: Path) -> int | None:
                     with archive.open(name) as file:
                         claims.append(_npy(file) or 0)
             return max(claims, default=None)
-    except (zipfile.BadZipFile, OSError, ValueError, EOFError):
+    except Exception:  # a damaged archive fails in many ways; the reader says how
         return None
 
 

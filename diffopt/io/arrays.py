@@ -1,14 +1,14 @@
 """NumPy files: bare arrays, and the project's own ``.npz`` with units and provenance."""
 
 import json
-import zipfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from diffopt.errors import InputError
-from diffopt.io.files import one_line, replacing, require_signature
+from diffopt.io import numpy_files
+from diffopt.io.files import one_line, replacing
 from diffopt.io.record import Options, Record
 
 FORMAT = "diffopt heightfield"
@@ -26,15 +26,9 @@ def read_npy(path: Path, options: Options) -> Record:
     InputError
         If the file is damaged, of another format, or not a real [ny, nx] array.
     """
-    require_signature(path, (b"\x93NUMPY",), "a NumPy array file (.npy)")
     options.refuse(path, "a .npy file has one channel", "channel")
     options.refuse(path, "a .npy file holds numbers, not grey values", "height_range")
-    try:
-        with path.open("rb") as file:
-            heights = np.load(file, allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
-        raise InputError(f"{path}: the array cannot be read: {one_line(error)}") from error
-    return _bare(path, heights, options)
+    return _bare(path, numpy_files.array(path), options)
 
 
 def read_npz(path: Path, options: Options) -> Record:
@@ -48,14 +42,8 @@ def read_npz(path: Path, options: Options) -> Record:
     InputError
         If the file is damaged, of another format, or has no array to read.
     """
-    require_signature(path, (b"PK\x03\x04",), "a NumPy archive (.npz)")
     options.refuse(path, "a .npz file holds numbers, not grey values", "height_range")
-    try:
-        # Opened here: on a damaged archive np.load would leave its own file open.
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            content = {name: archive[name] for name in archive.files}
-    except (ValueError, EOFError, OSError, KeyError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path}: the archive cannot be read: {one_line(error)}") from error
+    content = numpy_files.archive(path)
     if "format" in content and str(content["format"]) == FORMAT:
         return _own(path, content, options)
     planes = {name: array for name, array in content.items() if array.ndim == 2}
@@ -101,14 +89,15 @@ def _own(path: Path, content: dict[str, np.ndarray], options: Options) -> Record
     try:
         version, unit = int(content["version"]), str(content["unit"])
         dy, dx = (float(value) for value in content["pixel"])
-        heights, steps = content["heights"], json.loads(str(content["steps"]))
-    except (KeyError, TypeError, ValueError) as error:
+        heights = content["heights"]
+        steps = tuple(str(step) for step in json.loads(str(content["steps"])))
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise InputError(f"{path}: a damaged {FORMAT} file: {one_line(error)}") from error
     if version != VERSION or unit != "um":
         raise InputError(
             f"{path}: {FORMAT} version {version} in {unit!r}; expected version {VERSION} in 'um'"
         )
-    return Record(_real_plane(path, heights), options.pixel(path, (dy, dx)), steps=tuple(steps))
+    return Record(_real_plane(path, heights), options.pixel(path, (dy, dx)), steps=steps)
 
 
 def _bare(path: Path, heights: np.ndarray, options: Options, channel: str | None = None) -> Record:
@@ -121,4 +110,4 @@ def _real_plane(path: Path, heights: np.ndarray) -> np.ndarray:
         raise InputError(
             f"{path}: expected a real [ny, nx] array, found {heights.dtype} {heights.shape}"
         )
-    return heights.astype(np.float64)
+    return numpy_files.doubles(heights)

@@ -3,16 +3,24 @@
 Maps are in longitude and latitude: the first row at the zenith, columns from azimuth 0.
 """
 
+import re
+import struct
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
 from diffopt.errors import InputError
+from diffopt.io import limits, numpy_files
 from diffopt.io.files import describe, existing_file, one_line, openexr, require_signature
+from diffopt.io.images import png
 
 #: Suffixes of pictures; ``.npy`` is read as well.
 SUFFIXES = (".exr", ".hdr", ".png")
+
+# Attributes of an .exr: name, type, length of the value, value.
+_WINDOW = re.compile(rb"dataWindow\0box2i\0\x10\0\0\0(.{16})", re.DOTALL)
+_TILES = re.compile(rb"tiles\0tiledesc\0\x09\0\0\0(.{8})", re.DOTALL)
 
 
 def read(path: Path) -> np.ndarray:
@@ -85,13 +93,7 @@ def linear(srgb: np.ndarray) -> np.ndarray:
 
 def codes(path: Path) -> np.ndarray:
     """Code values of a PNG picture as they are stored, 0 to 1, [H, W] or [H, W, 3]; no alpha."""
-    require_signature(path, (b"\x89PNG\r\n\x1a\n",), "a PNG image")
-    from skimage import io
-
-    try:
-        found = np.asarray(io.imread(path))
-    except (ValueError, OSError, SyntaxError) as error:
-        raise InputError(f"{path}: cannot be read: {one_line(error)}") from error
+    found, _ = png(path)
     if found.dtype.kind != "u" or found.ndim not in (2, 3):
         raise InputError(f"{path}: expected 8 or 16 bits a channel; received {found.dtype}")
     if found.ndim == 3:
@@ -100,15 +102,12 @@ def codes(path: Path) -> np.ndarray:
 
 
 def _array(path: Path) -> np.ndarray:
-    try:
-        found = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
-        raise InputError(f"{path}: cannot be read: {one_line(error)}") from error
-    if not isinstance(found, np.ndarray) or found.dtype.kind not in "fiu":
+    found = numpy_files.array(path)
+    if found.dtype.kind not in "fiu":
         raise InputError(f"{path}: expected an array of real numbers")
     if found.ndim not in (2, 3) or 0 in found.shape:
         raise InputError(f"{path}: expected [H, W] or [H, W, C]; received {found.shape}")
-    return np.asarray(found, np.float64)
+    return numpy_files.doubles(found)
 
 
 def _png(path: Path) -> np.ndarray:
@@ -118,16 +117,31 @@ def _png(path: Path) -> np.ndarray:
 
 def _exr(path: Path) -> np.ndarray:
     require_signature(path, (b"\x76\x2f\x31\x01",), "an OpenEXR image")
+    _window(path)
     library = openexr(path, "it as .npy or .hdr")
     try:
         parts = library.File(str(path)).channels()
-    except (RuntimeError, ValueError, OSError) as error:
+    except Exception as error:  # what the library throws is of any kind
         raise InputError(f"{path}: cannot be read: {one_line(error)}") from error
     pixels = {name: np.asarray(channel.pixels) for name, channel in parts.items()}
     for name in ("RGB", "RGBA", "Y"):
         if name in pixels:
             return pixels[name] if name == "Y" else pixels[name][..., :3]
     raise InputError(f"{path}: expected channels R, G, B or Y; received {', '.join(pixels)}")
+
+
+def _window(path: Path) -> None:
+    """Refuse an .exr whose header states more pixels than are read, for any of its parts."""
+    with path.open("rb") as file:
+        head = file.read(2**16)
+    for found in _WINDOW.finditer(head):
+        left, top, right, bottom = struct.unpack("<4i", found[1])
+        sides = right - left + 1, bottom - top + 1
+        if min(sides) < 1:
+            raise InputError(f"{path}: a data window of {sides[0]} x {sides[1]} pixels")
+        limits.samples(path, (*sides, 4))
+    for found in _TILES.finditer(head):
+        limits.samples(path, (*struct.unpack("<2I", found[1]), 4))
 
 
 def _radiance_hdr(path: Path) -> Float[np.ndarray, "H W 3"]:
@@ -143,8 +157,16 @@ def _radiance_hdr(path: Path) -> Float[np.ndarray, "H W 3"]:
             f"{path}: expected 32-bit_rle_rgbe with rows from the top (-Y H +X W); received "
             f"{size[:40].decode('latin1')!r}"
         )
+    if not (words[1].isdigit() and words[3].isdigit() and len(words[1] + words[3]) <= 20):
+        raise InputError(f"{path}: expected numbers of rows and columns; received {size[:40]!r}")
     height, width = int(words[1]), int(words[3])
+    pixels = limits.samples(path, (height, width), "pixels")
+    if not pixels:
+        raise InputError(f"{path}: {width} x {height} pixels; expected at least one")
     code = np.frombuffer(body, np.uint8)
+    # A run of 127 equal bytes takes two.
+    if 64 * code.size < 4 * pixels:
+        raise InputError(f"{path}: the file ends before its {width} x {height} pixels do")
     if code.size >= 4 and code[0] == code[1] == 2 and 8 <= width < 32768:
         try:
             code = _unpacked(code, height, width)

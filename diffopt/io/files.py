@@ -11,6 +11,7 @@ from typing import IO
 
 from diffopt import processes
 from diffopt.errors import InputError, missing
+from diffopt.io.limits import MOST_BYTES
 
 # First bytes of common files, for error texts that say what a renamed file really is.
 _SIGNATURES = (
@@ -35,18 +36,26 @@ _SIGNATURES = (
 def existing_file(path: str | os.PathLike) -> Path:
     """Return the path, if it names a file that is not empty.
 
+    Pipes and devices, which may never end, are none.
+
     Raises
     ------
     InputError
-        If there is no such file, it is a folder, or it is empty.
+        If there is no such file, it is a folder, a pipe or a device, it is empty, or has more
+        than `diffopt.io.limits.MOST_BYTES` bytes.
     """
     path = Path(path)
     if path.is_dir():
         raise InputError(f"{path}: is a folder; expected a file")
     if not path.exists():
         raise InputError(f"{path}: no such file")
-    if path.stat().st_size == 0:
+    if not path.is_file():
+        raise InputError(f"{path}: is a pipe or a device; expected a file")
+    size = path.stat().st_size
+    if size == 0:
         raise InputError(f"{path}: the file is empty")
+    if size > MOST_BYTES:
+        raise InputError(f"{path}: {size:.4g} bytes; at most {MOST_BYTES:.4g} are accepted")
     return path
 
 

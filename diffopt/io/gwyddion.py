@@ -13,6 +13,9 @@ from diffopt.io.record import Options, Record
 from diffopt.io.units import is_length, to_micrometres
 
 _MAGIC = b"GWYPGwyContainer\x00"
+# Bytes of one item of a component, by its type; texts and objects end where they say.
+_SIZES = {b"b": 1, b"c": 1, b"i": 4, b"q": 8, b"d": 8, b"C": 1, b"I": 4, b"Q": 8, b"D": 8}
+_DEEPEST = 32
 
 
 def read_gwy(path: Path, options: Options) -> Record:
@@ -44,26 +47,75 @@ def read_gwy(path: Path, options: Options) -> Record:
             f"{start + stated}"
         )
     try:
+        _object(content, 4, len(content), 0)
         container: Any = gwyfile.objects.GwyObject.frombuffer(content[4:])
         fields = _fields(container)
+        number, title, field = _choose(path, fields, options)
+        unit_z, unit_xy = _unit(field.si_unit_z), _unit(field.si_unit_xy)
+        data = np.asarray(field.data, dtype=np.float64)
+        xreal, yreal = float(field.xreal or 0.0), float(field.yreal or 0.0)
+        mask = container.get(f"/{number}/mask")
+        masked = 0 if mask is None else int((np.asarray(mask.data) > 0).sum())
+    except InputError:
+        raise
     except Exception as error:  # damaged content fails in many ways inside the parser
         raise InputError(f"{path}: the Gwyddion file is damaged: {one_line(error)}") from error
-    number, title, field = _choose(path, fields, options)
-    unit_z, unit_xy = _unit(field.si_unit_z), _unit(field.si_unit_xy)
-    data = np.asarray(field.data, dtype=np.float64)
+    if data.ndim != 2 or 0 in data.shape:
+        raise InputError(f"{path}: channel {title!r} is of shape {data.shape}; expected [ny, nx]")
     stated_pixel = None
-    if field.xreal and field.yreal and unit_xy:
+    if xreal and yreal and unit_xy:
         factor = to_micrometres(unit_xy, f"{path}: the width of channel {title!r}")
-        stated_pixel = (
-            float(field.yreal) / data.shape[0] * factor,
-            float(field.xreal) / data.shape[1] * factor,
-        )
+        stated_pixel = (yreal / data.shape[0] * factor, xreal / data.shape[1] * factor)
     notes = ()
-    mask = container.get(f"/{number}/mask")
-    if mask is not None and np.any(mask.data > 0):
-        notes = (f"a mask over {int((mask.data > 0).sum())} pixels in the file was disregarded",)
+    if masked:
+        notes = (f"a mask over {masked} pixels in the file was disregarded",)
     heights = data * to_micrometres(unit_z, f"{path}: channel {title!r}")
     return Record(heights, options.pixel(path, stated_pixel), title, notes=notes)
+
+
+def _object(content: bytes, at: int, end: int, depth: int) -> int:
+    """Where an object ends, if it and all in it lie before `end`.
+
+    The parser follows sizes without looking whether they fit, for ever if they do not.
+
+    Raises
+    ------
+    ValueError
+        If something does not fit, is of an unknown type, or lies deeper than `_DEEPEST`.
+    """
+    if depth > _DEEPEST:
+        raise ValueError(f"objects lie deeper than {_DEEPEST} in another")
+    at = _word(content, at, end)
+    (size,) = struct.unpack_from("<I", content, at)
+    at, stop = at + 4, at + 4 + size
+    if stop > end:
+        raise ValueError(f"an object ends at byte {stop}, what holds it at {end}")
+    while at < stop:
+        at = _word(content, at, stop)
+        kind, at = content[at : at + 1], at + 1
+        count = 1
+        if kind in (b"C", b"I", b"Q", b"D", b"S", b"O"):
+            (count,) = struct.unpack_from("<I", content, at)
+            at += 4
+        if kind in _SIZES:
+            at += count * _SIZES[kind]
+        elif kind in (b"s", b"S", b"o", b"O"):
+            for _ in range(count):
+                text = kind in (b"s", b"S")
+                at = _word(content, at, stop) if text else _object(content, at, stop, depth + 1)
+        else:
+            raise ValueError(f"a component of type {kind!r}")
+        if at > stop:
+            raise ValueError(f"a component ends at byte {at}, what holds it at {stop}")
+    return stop
+
+
+def _word(content: bytes, at: int, end: int) -> int:
+    """Where a text that a zero byte ends is over."""
+    found = content.find(b"\0", at, end)
+    if found < 0:
+        raise ValueError(f"a text from byte {at} on has no end")
+    return found + 1
 
 
 def _fields(container: Any) -> list[tuple[int, str, Any]]:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from diffopt.errors import InputError, missing
+from diffopt.io import limits
 from diffopt.io.files import describe, one_line
 from diffopt.io.record import Options, Record
 from diffopt.io.units import is_length, to_micrometres
@@ -65,6 +66,7 @@ def _read(path: Path, options: Options, open_topography) -> Record:
         if not channel.is_uniform:
             raise InputError(f"{name} is not on a regular grid")
         nx, ny = channel.nb_grid_pts
+        limits.samples(path, (nx, ny))
         arguments = {}
         if channel.physical_sizes is None:
             dy, dx = options.pixel(path)

@@ -7,18 +7,21 @@ comments; of these the ones that Gwyddion writes (``# Width: 10 µm``, ``# Heigh
 matrix is row 0.
 """
 
+import math
 import re
 from pathlib import Path
 
 import numpy as np
 
 from diffopt.errors import InputError
+from diffopt.io import limits
 from diffopt.io.record import Options, Record
 from diffopt.io.units import to_micrometres
 
-_SIZE = re.compile(r"^[#%;]\s*(Width|Height):\s*([-+0-9.eE]+)\s*(\S+)\s*$")
+# Where the number ends the unit begins, in one way only: else a long line would take for ever.
+_SIZE = re.compile(r"^[#%;]\s*(Width|Height):\s*([-+0-9.eE]+)(?:\s+|(?=[^-+0-9.eE\s]))(\S+)\s*$")
 _VALUE_UNITS = re.compile(r"^[#%;]\s*Value units:\s*(\S+)\s*$")
-_CHANNEL = re.compile(r"^[#%;]\s*Channel:\s*(.+?)\s*$")
+_CHANNEL = re.compile(r"^[#%;]\s*Channel:\s*(\S.*)$")
 
 # Grid lines of an xyz list count as the same when they differ by less than this share of
 # the spacing: files are rounded, scanners do not jitter more.
@@ -82,6 +85,7 @@ def read_xyz(path: Path, options: Options) -> Record:
         raise InputError(f"{path}: x and y must be finite numbers")
     column, nx, dx = _grid(path, points[:, 0], "x")
     row, ny, dy = _grid(path, points[:, 1], "y")
+    limits.samples(path, (ny, nx), "points of the grid")
     heights = np.full((ny, nx), np.nan)
     given = np.zeros((ny, nx), dtype=int)
     np.add.at(given, (row, column), 1)
@@ -94,7 +98,7 @@ def read_xyz(path: Path, options: Options) -> Record:
 
 def _numbers(path: Path) -> tuple[list[str], list[tuple[int, np.ndarray]]]:
     """Comment lines, and (line number, values) of the others."""
-    raw = path.read_bytes()
+    raw = limits.text(path, limits.MOST_TEXT)
     if b"\x00" in raw[:4096]:
         raise InputError(f"{path}: expected text, found binary data starting with {raw[:8]!r}")
     try:
@@ -138,7 +142,13 @@ def _header(path: Path, comments: list[str]) -> tuple[dict[str, float], str | No
     for line in comments:
         if match := _SIZE.match(line):
             name, value, length = match.groups()
-            sizes[name] = float(value) * to_micrometres(length, f"{path}: {name}")
+            try:
+                number = float(value)
+            except ValueError:
+                number = math.nan
+            if not 0.0 < number < math.inf:
+                raise InputError(f"{path}: {name} must be a number above 0; found {value[:40]!r}")
+            sizes[name] = number * to_micrometres(length, f"{path}: {name}")
         elif match := _VALUE_UNITS.match(line):
             unit = match.group(1)
         elif match := _CHANNEL.match(line):

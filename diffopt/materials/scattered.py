@@ -16,7 +16,6 @@ import csv
 import math
 import os
 import re
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +28,8 @@ from jaxtyping import Array, Float, Int
 from diffopt import checks
 from diffopt.chunks import in_chunks
 from diffopt.errors import InputError
-from diffopt.io.files import describe, existing_file, one_line, require_signature
+from diffopt.io import limits, numpy_files
+from diffopt.io.files import describe, existing_file
 from diffopt.kernels import frames, tabulated
 from diffopt.materials.base import floating
 from diffopt.materials.merl import HalfLobe, LobeSampled, half_lobe
@@ -230,6 +230,10 @@ def _value_columns(path: Path, columns: dict[str, np.ndarray]) -> tuple[list[str
                 return names, None
         if spectrum:
             order = sorted(spectrum)
+            try:
+                checks.wavelengths(np.asarray(order) * 1e-3)
+            except InputError as error:
+                raise InputError(f"{path}: {error}") from None
             return [spectrum[nm] for nm in order], np.asarray(order) * 1e-3
     raise InputError(
         f"{path}: no values: expected a column f, or r, g, b, or wavelengths like 550nm (with "
@@ -238,12 +242,7 @@ def _value_columns(path: Path, columns: dict[str, np.ndarray]) -> tuple[list[str
 
 
 def _archive(path: Path) -> dict[str, np.ndarray]:
-    require_signature(path, (b"PK\x03\x04",), "a NumPy archive (.npz)")
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            content = {name: archive[name] for name in archive.files}
-    except (ValueError, EOFError, OSError, KeyError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path}: the archive cannot be read: {one_line(error)}") from error
+    content = numpy_files.archive(path)
     count = len(content["theta_i"]) if np.ndim(content.get("theta_i", 0)) == 1 else None
     columns = {}
     for name, array in content.items():
@@ -252,20 +251,20 @@ def _archive(path: Path) -> dict[str, np.ndarray]:
                 raise InputError(
                     f"{path}: column {name} has {len(array)} entries, theta_i has {count}"
                 )
-            columns[name] = array.astype(np.float64)
+            columns[name] = numpy_files.doubles(array)
     return columns
 
 
 def _text(path: Path) -> dict[str, np.ndarray]:
     try:
-        lines = path.read_text("utf-8-sig").splitlines()
+        lines = limits.text(path, limits.MOST_TEXT).decode("utf-8-sig").splitlines()
     except UnicodeDecodeError:
         raise InputError(f"{path}: expected a table in text, found {describe(path)}") from None
     kept = [(n, s) for n, s in enumerate(lines, 1) if s.strip() and not s.startswith("#")]
     if not kept:
         raise InputError(f"{path}: expected a line of column names, found comments alone")
     mark = max(",;\t", key=kept[0][1].count)
-    rows = list(csv.reader([s for _, s in kept], delimiter=mark))
+    rows = [_cells(path, line, text, mark) for line, text in kept]
     names = [name.strip() for name in rows[0]]
     if len(set(names)) < len(names):
         raise InputError(f"{path}: column names must differ; received {', '.join(names)}")
@@ -281,6 +280,14 @@ def _text(path: Path) -> dict[str, np.ndarray]:
                     f"{path}, line {line}: {names[column]} must be a number; received {cell!r}"
                 ) from None
     return dict(zip(names, numbers.T, strict=True))
+
+
+def _cells(path: Path, line: int, text: str, mark: str) -> list[str]:
+    """Cells of a line; quotes that go on in the next one are none."""
+    try:
+        return next(csv.reader([text], delimiter=mark, strict=True))
+    except csv.Error as error:
+        raise InputError(f"{path}, line {line}: {error}") from None
 
 
 def _embedded(wi: Array, wo: Array, isotropic: bool, swaps: bool) -> Array:

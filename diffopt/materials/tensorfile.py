@@ -65,8 +65,15 @@ def read_tensors(path: str | os.PathLike) -> dict[str, np.ndarray]:
                     f"{path}: is cut short: field {name!r} ends at byte {offset + size}, "
                     f"the file at {len(data)}"
                 )
-            array = np.frombuffer(data, _TYPES[kind], math.prod(shape), offset)
-            fields[name] = array.reshape(shape)
+            count = math.prod(shape)
+            array = np.frombuffer(data, _TYPES[kind], count, offset) if count else np.empty(0)
+            try:
+                fields[name] = array.astype(_TYPES[kind], copy=False).reshape(shape)
+            except ValueError:  # too many axes, or sides too long beside a side of 0
+                raise InputError(
+                    f"{path}: field {name!r} has {axes} axes, of {str(shape[:4])[:80]}; expected "
+                    "a shape that an array can have"
+                ) from None
     except struct.error:
         raise InputError(f"{path}: is cut short within its list of fields") from None
     return fields

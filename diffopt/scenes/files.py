@@ -57,6 +57,8 @@ from typing import Any
 import numpy as np
 
 from diffopt.errors import InputError
+from diffopt.io import limits
+from diffopt.io.files import existing_file
 from diffopt.scenes import reading, writing
 from diffopt.scenes.camera import Camera
 from diffopt.scenes.channels import Channels
@@ -84,7 +86,8 @@ class SceneFile:
     options
         Of ``[render]``: the level, its settings, and perhaps the exposure.
     notes
-        What was assumed, one sentence each.
+        What was assumed, and which files outside of the scene's folder were read, one sentence
+        each.
     """
 
     path: Path
@@ -110,12 +113,9 @@ def load_scene(path: str | os.PathLike) -> SceneFile:
     InputError
         If there is no such file, or it is not text.
     """
-    path = Path(path)
-    if not path.is_file():
-        reason = "is a folder; expected a file" if path.is_dir() else "no such file"
-        raise InputError(f"{path}: {reason}")
+    path = existing_file(path)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = limits.text(path, limits.MOST_SCENE).decode("utf-8").replace("\r\n", "\n")
     except (UnicodeDecodeError, OSError) as error:
         raise InputError(f"{path}: expected text in UTF-8 ({error})") from error
     source = Source(path, text)
@@ -137,7 +137,7 @@ def load_scene(path: str | os.PathLike) -> SceneFile:
         scene = Scene([*found, *surfaces], lamps, wavelengths=channels.wavelengths)
     if source.faults or scene is None or camera is None:
         raise SceneFileError(path, source.faults)
-    said = tuple(dict.fromkeys([*notes, *materials.notes]))
+    said = tuple(dict.fromkeys([*source.outside, *notes, *materials.notes]))
     return SceneFile(path, scene, camera, options, said)
 
 

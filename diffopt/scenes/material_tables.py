@@ -5,6 +5,7 @@ import os
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from diffopt import fresnel
@@ -31,6 +32,8 @@ DIFFRACTION = (
 
 # Directions that a surface is prepared for: what a small picture asks for.
 _PAIRS = 1_000_000
+# Most arrays of the parts of a sum.
+_MOST_ARRAYS = 1000
 
 
 class Materials:
@@ -82,6 +85,10 @@ class Materials:
             return self._made[name]
         if name in naming.NAMES:
             return naming.named(name).material
+        if os.path.splitext(name)[1].lower() in naming.SUFFIXES:
+            expected = f'expected a table for the file: [materials.NAME] with file = "{name}"'
+            self.source.say(where, f"no material {name!r}; {expected}")
+            return None
         options = (*self.tables, *naming.NAMES)
         expected = "a table [materials.NAME] or one of " + ", ".join(naming.NAMES)
         self.source.say(where, f"no material {name!r}{near(name, options)}; expected {expected}")
@@ -162,6 +169,11 @@ class Materials:
             return None
         parts = [self.of(each, (*table.where, "parts", k)) for k, each in enumerate(value)]
         if not table.sound or any(part is None for part in parts):
+            return None
+        # Of materials that are named more than once the number doubles with each sum.
+        count = sum(len(jax.tree.leaves(part)) for part in parts)
+        if count > _MOST_ARRAYS:
+            table.say("parts", f"parts of {count} arrays; at most {_MOST_ARRAYS} are accepted")
             return None
         with self.source.at(table.where, ("chances", "parts")):
             return Sum([part for part in parts if part is not None], chances)

@@ -9,6 +9,7 @@ import dataclasses
 import functools
 import math
 import os
+import warnings
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -114,20 +115,34 @@ def load(path: str | os.PathLike, *, crease_deg: float = CREASE_DEG) -> Mesh:
     """
     import trimesh
 
+    from diffopt.scenes import mesh_claims
+
     path = existing_file(path)
     if path.suffix.lower() not in FORMATS:
         raise InputError(
             f"{path}: expected a mesh with one of the suffixes {', '.join(FORMATS)}; found "
             f"{describe(path)}"
         )
+    suffix = path.suffix.lower()
     try:
+        mesh_claims.check(path, suffix)
         # In glTF the texture coordinates come with the materials.
-        skip = path.suffix.lower() == ".obj"
-        parts = trimesh.load_scene(path, process=False, skip_materials=skip).dump()
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            # Of what is odd in a file `build` finds all that matters here.
+            warnings.simplefilter("ignore")
+            scene = trimesh.load_scene(
+                path,
+                process=False,
+                skip_materials=suffix == ".obj",
+                resolver=mesh_claims.Beside(path),
+            )
+            mesh_claims.instances(path, scene)
+            parts = scene.dump()
     except Exception as error:  # readers of damaged files fail in many ways
+        if isinstance(error, InputError) and str(error).startswith(str(path)):
+            raise
         raise InputError(
-            f"{path}: cannot be read as {path.suffix.lower()} ({one_line(error)}); found "
-            f"{describe(path)}"
+            f"{path}: cannot be read as {suffix} ({one_line(error)}); found {describe(path)}"
         ) from error
     solid = [part for part in parts if isinstance(part, trimesh.Trimesh) and len(part.faces)]
     if not solid:
@@ -321,7 +336,9 @@ def _corner_normals(
     from scipy.sparse.csgraph import connected_components
 
     triangles = points[faces]
-    triangles = (triangles - points.mean(axis=0)) / np.ptp(points, axis=0).max()
+    # Each about its first corner and of its own size: beside large ones, small ones would vanish.
+    triangles = triangles - triangles[:, :1]
+    triangles = triangles / np.abs(triangles).max(axis=(1, 2), keepdims=True)
     own = face_normals(triangles)
     corners = np.arange(faces.size).reshape(faces.shape)
     ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)

@@ -11,7 +11,13 @@ from typing import Any
 
 from diffopt import checks
 from diffopt.errors import InputError
+from diffopt.io.files import one_line
 from diffopt.scenes.toml_lines import Where, line_numbers
+
+# Time and memory that a parser of TOML takes grow with the square of a key's parts.
+_DEEP_KEY = re.compile(
+    r"""(?<![\w"'.-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){64}"""
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,14 +76,23 @@ class Source:
         The table.
     faults
         What is wrong.
+    outside
+        Files that are read from outside of the file's folder, one sentence each.
     """
 
     def __init__(self, path: Path, text: str) -> None:
         self.path = path
         self.faults: list[Fault] = []
-        self._lines = line_numbers(text)
+        self.outside: list[str] = []
+        deep = _DEEP_KEY.search(text)
+        if deep is not None:
+            line = text.count("\n", 0, deep.start()) + 1
+            raise SceneFileError(path, [Fault(line, "", "not a scene: a key of 65 parts or more")])
         try:
             self.content = tomllib.loads(text)
+        except RecursionError:
+            fault = Fault(None, "", "not TOML: tables or lists lie too deep in each other")
+            raise SceneFileError(path, [fault]) from None
         except tomllib.TOMLDecodeError as error:
             words, _, place = str(error).partition(" (at ")
             found = re.search(r"line (\d+)", place)
@@ -85,6 +100,10 @@ class Source:
             line = int(found[1]) if found else max(text.count("\n"), 1)
             fault = Fault(line, "", f"not TOML: {words[0].lower()}{words[1:]}")
             raise SceneFileError(path, [fault]) from None
+        except ValueError as error:  # of a number with thousands of digits, a date that is none
+            fault = Fault(None, "", f"not TOML: {one_line(error)}")
+            raise SceneFileError(path, [fault]) from None
+        self._lines = line_numbers(text)
 
     def line(self, where: Where) -> int | None:
         """Line of a value, or of the nearest table around it."""
@@ -207,15 +226,27 @@ class Table:
         return None if value is None else float(value)
 
     def file(self, name: str) -> Path | None:
-        """A file, by a path relative to that of the scene; one that is not there is a fault."""
+        """A file, by a path relative to that of the scene; one that is not there is a fault.
+
+        One outside of the scene's folder, by its name or by a link, is noted as such.
+        """
         value = self.text(name)
         if value is None:
             return None
-        path = self.source.path.parent / Path(value).expanduser()
-        if not path.is_file():
-            reason = "is a folder; expected a file" if path.is_dir() else "no such file"
-            self.say(name, f"{path}: {reason}")
+        try:
+            folder = self.source.path.parent
+            path = folder / Path(value).expanduser()
+            if not path.is_file():
+                reason = "is a folder; expected a file" if path.is_dir() else "no such file"
+                self.say(name, f"{path}: {reason}")
+                return None
+            real, home = path.resolve(), folder.resolve()
+        except (OSError, RuntimeError, ValueError) as error:  # too long, a user that is none, NUL
+            self.say(name, f"{shown(value)} is no path: {one_line(error)}")
             return None
+        if not real.is_relative_to(home):
+            said = f"{value} is outside of the scene's folder: read from {real}"
+            self.source.outside.append(said)
         return path
 
     def table(self, name: str) -> "Table | None":
@@ -256,7 +287,12 @@ class Table:
 
 def is_number(value: Any) -> bool:
     """Whether a value is a finite number (true and false are none)."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # a whole number beyond every float
+        return False
 
 
 def shown(value: Any) -> str:

@@ -4,6 +4,7 @@ While transfer is computed the folder holds `diffopt.transfer.working` batches, 
 the group ``transfer``, chunked and compressed, see `diffopt.transfer.packing`.
 """
 
+import contextlib
 import dataclasses
 import datetime
 import os
@@ -12,6 +13,7 @@ from typing import Any
 
 from diffopt import __version__
 from diffopt.errors import InputError
+from diffopt.io import zarr_files
 from diffopt.io.files import aside, one_line, remove, replaced, settle, standing, swap, sweep
 from diffopt.locking import Lock
 from diffopt.transfer import packing, zarrays
@@ -23,6 +25,7 @@ from diffopt.transfer.working import FOLDER, Working, discard
 FORMAT = "diffopt transfer"
 VERSION = 1
 _GROUP = "transfer"
+_LOCK = f".{_GROUP}.lock"
 _UNITS = {
     "vertices": "of the scene",
     "alpha": "1: reflected radiance over the radiance of light that is the same from everywhere",
@@ -104,7 +107,7 @@ def save(
 
     settings = settings or CompressionSettings()
     path = begin(path)
-    with Lock(path / f".{_GROUP}.lock", path):
+    with Lock(path / _LOCK, path):
         target, new = path / _GROUP, aside(path / _GROUP)
         try:
             group = zarr.open_group(new, mode="w")
@@ -154,11 +157,14 @@ def tidy(path: str | os.PathLike, identity: dict[str, Any]) -> None:
     identity
         What it was computed for: batches of something else stay, as those of a process at work.
     """
-    target = Path(path) / _GROUP
-    if target.exists():
-        remove(replaced(target))
-    discard(Path(path), identity)
-    sweep(Path(path))
+    path = Path(path)
+    target = path / _GROUP
+    # What cannot be removed, as on a disk that is read-only, harms nobody.
+    with contextlib.suppress(InputError, OSError), Lock(path / _LOCK, path):
+        if target.exists():
+            remove(replaced(target))
+        discard(path, identity)
+        sweep(path)
 
 
 def load(path: str | os.PathLike) -> Transfer:
@@ -201,14 +207,14 @@ def size(path: str | os.PathLike) -> int:
 
 def _checked(path: Path) -> Any:
     """The zarr group of a store."""
-    import zarr
-
     if not path.is_dir():
         what = "is a file" if path.exists() else "no such folder"
         raise InputError(f"{path}: {what}; expected the folder of a store of transfer")
     try:
-        root = zarr.open_group(path, mode="r")
+        root = zarr_files.opened(path)
         attributes: dict[str, Any] = dict(root.attrs)
+    except InputError:
+        raise
     except Exception as error:
         raise InputError(f"{path}: not a store of transfer: {one_line(error)}") from error
     if attributes.get("format") != FORMAT:
@@ -223,8 +229,6 @@ def _checked(path: Path) -> Any:
 
 
 def _finished(path: Path) -> Any:
-    import zarr
-
     _checked(path)
     folder = standing(path / _GROUP)
     if not (folder / "zarr.json").is_file():
@@ -234,6 +238,6 @@ def _finished(path: Path) -> Any:
             + ("to its end" if begun else "again")
         )
     try:
-        return zarr.open_group(folder, mode="r")
+        return zarr_files.opened(folder)
     except Exception as error:
         raise InputError(f"{path}: damaged: {one_line(error)}; precompute it again") from error

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from diffopt.errors import InputError
+from diffopt.io import zarr_files
 
 _CHUNK_ELEMENTS = 2**20
 
@@ -59,16 +59,13 @@ def read(group: Any, path: Path) -> dict[str, np.ndarray]:
     Raises
     ------
     InputError
-        If chunks are missing; names the array.
+        As for `diffopt.io.zarr_files.read`.
     Exception
         Of many kinds, where one is damaged.
     """
     found: dict[str, np.ndarray] = {}
     for name, item in group.arrays():
-        missing = item.nchunks - item.nchunks_initialized
-        if item.size and missing > 0:
-            raise InputError(f"{path}: {missing} of {item.nchunks} chunks of {name} are missing")
-        values = np.asarray(item[...])
+        values = zarr_files.read(path, item)
         stated = dict(item.attrs)
         if "sum" in stated:
             values = np.cumsum(values, axis=0, dtype=np.int64).astype(stated.pop("sum"))
