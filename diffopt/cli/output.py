@@ -34,8 +34,13 @@ def written(target: Path, kept: str = "") -> Iterator[None]:
     except OSError as error:
         if error.errno not in _DISK:
             raise
-        words = f"{target}: cannot be written: {os.strerror(error.errno).lower()}"
+        words = f"{target}: cannot be written: {_reason(error)}"
         raise InputError(words + (f"; {kept}" if kept else "")) from error
+
+
+def _reason(error: OSError) -> str:
+    """In the words of the system."""
+    return str(error.strerror or error).lower()
 
 
 def beside(target: Path, what: str) -> Path:
@@ -69,7 +74,7 @@ def folder(target: Path) -> Iterator[Path]:
         try:
             staging.mkdir()
         except OSError as error:
-            raise InputError(f"{target}: cannot be written to: {error.strerror}") from error
+            raise InputError(f"{target}: cannot be written to: {_reason(error)}") from error
         with written(target):
             yield staging
             _move(staging, target)
@@ -94,7 +99,7 @@ def _make_parents(parent: Path, made: list[Path]) -> None:
         try:
             path.mkdir()
         except OSError as error:
-            raise InputError(f"{path}: cannot be made: {error.strerror}") from error
+            raise InputError(f"{path}: cannot be made: {_reason(error)}") from error
         made.insert(0, path)
 
 
