@@ -3,8 +3,6 @@
 import dataclasses
 import math
 import os
-import shutil
-import uuid
 from pathlib import Path
 from typing import Any, get_args
 
@@ -18,7 +16,7 @@ from diffopt.checks import Values
 from diffopt.diffraction import Shadowing
 from diffopt.errors import InputError
 from diffopt.io import zarr_files
-from diffopt.io.files import one_line
+from diffopt.io.files import aside, one_line, remove, standing, swap
 from diffopt.kernels import frames, prefactor
 from diffopt.lookup import Table, reflect
 
@@ -118,9 +116,9 @@ def save(path: str | os.PathLike, table: Table, record: dict[str, Any]) -> None:
         raise InputError(f"{path}: the folder {path.parent} does not exist")
     if path.exists() and not (path / "zarr.json").is_file():
         raise InputError(f"{path}: exists and is not a saved table; choose another name")
-    aside = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+    new = aside(path)
     try:
-        store = zarr.open_group(aside, mode="w")
+        store = zarr.open_group(new, mode="w")
         for name in _ARRAYS:
             values = np.asarray(getattr(table, name))
             # Zeros as well: a chunk that is not there is one that was lost.
@@ -142,15 +140,9 @@ def save(path: str | os.PathLike, table: Table, record: dict[str, Any]) -> None:
                 "record": record,
             }
         )
-        if path.exists():
-            old = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
-            os.rename(path, old)
-            os.rename(aside, path)
-            shutil.rmtree(old, ignore_errors=True)
-        else:
-            os.rename(aside, path)
+        swap(new, path)
     except BaseException:
-        shutil.rmtree(aside, ignore_errors=True)
+        remove(new)
         raise
 
 
@@ -170,7 +162,7 @@ def load_table(path: str | os.PathLike) -> BakedBRDF:
     """
     import zarr
 
-    path = Path(path)
+    path = standing(Path(path))
     if not path.is_dir():
         what = "is a file" if path.exists() else "no such folder"
         raise InputError(f"{path}: {what}; expected the folder of a saved table")

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import errno
+import functools
 import json
 import os
 import shutil
@@ -11,6 +12,7 @@ import sys
 import textwrap
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import PIL.Image
@@ -153,6 +155,31 @@ def test_a_replaced_store_is_always_the_old_or_the_new_one(transfer, tmp_path, m
         assert names(path) == ["transfer", "zarr.json"]
         shutil.rmtree(path.parent)
     # It is one moment at which the new one takes its place.
+    assert seen == sorted(seen, reverse=True)
+    assert {*seen} == {"old", "new"}
+
+
+def test_a_replaced_table_is_always_the_old_or_the_new_one(tmp_path, monkeypatch, long):
+    scan = do.samples.compact_disc(jax.random.key(1), shape=(32, 32), pixel=0.1)
+    up = np.array([[0.0, 0.0, 1.0]])
+    brdf = do.DiffractionBRDF(scan, 0.4)
+    made = brdf.prepare(pairs=(up, up), output="xyz", tolerance=0.3, method="table")
+    made.save(tmp_path / "old.zarr", which="old")
+    shutil.copytree(tmp_path / "old.zarr", tmp_path / "new.zarr")
+    with Frozen(tmp_path) as counted:
+        made.save(tmp_path / "new.zarr", which="new")
+    seen = []
+    for number in counted.points(long):
+        at = tmp_path / f"{number}"
+        shutil.copytree(tmp_path / "old.zarr", at / "a.zarr")
+        path = at / "a.zarr"
+        crashed(monkeypatch, Frozen(at, number), functools.partial(made.save, which="new"), path)
+        baked = do.load_table(path)
+        np.testing.assert_array_equal(baked(up, up), made(up, up))
+        seen.append(baked.record["which"])
+        made.save(path, which="new")
+        assert content(path) == content(tmp_path / "new.zarr")
+        assert names(at) == ["a.zarr"]
     assert seen == sorted(seen, reverse=True)
     assert {*seen} == {"old", "new"}
 

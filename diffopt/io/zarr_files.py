@@ -38,7 +38,10 @@ def opened(path: Path) -> Any:
     for folder, _, names in os.walk(path):
         for name in names:
             file = Path(folder) / name
-            state = file.stat()
+            try:
+                state = file.stat()
+            except FileNotFoundError:  # of a process that is at work on it
+                continue
             if not stat.S_ISREG(state.st_mode):
                 raise InputError(f"{path}: {file.relative_to(path)} is a pipe or a device")
             if name == "zarr.json" and state.st_size > limits.MOST_JSON:
