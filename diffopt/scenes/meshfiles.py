@@ -150,6 +150,11 @@ def load(path: str | os.PathLike, *, crease_deg: float = CREASE_DEG) -> Mesh:
         found = f"{points} points" if points else describe(path)
         raise InputError(f"{path}: no faces; found {found}, expected triangles")
     for part in solid:
+        if np.shape(part.vertices)[1:] != (3,) or np.shape(part.faces)[1:] != (3,):
+            raise InputError(
+                f"{path}: vertices {np.shape(part.vertices)} and faces {np.shape(part.faces)}; "
+                "expected three coordinates and three corners"
+            )
         _check_indices(np.asarray(part.faces), len(part.vertices), str(path))
     vertices = np.concatenate([np.asarray(part.vertices, np.float64) for part in solid])
     first = np.cumsum([0] + [len(part.vertices) for part in solid])
