@@ -87,8 +87,8 @@ class Frozen:
             for k, (event, place) in enumerate(self.events)
             if event == "os.rename" and not place.endswith(".partial")
         ]
-        near = {n for k in renamed[:3] + renamed[-4:] for n in (k, k + 1)}
-        return sorted({*range(4), *range(4, count, 45), *near, *range(count - 4, count)})
+        near = {n for k in renamed[:2] + renamed[-3:] for n in (k, k + 1)}
+        return sorted({*range(3), *range(3, count, 90), *near, count - 2, count - 1})
 
 
 _hooked = []

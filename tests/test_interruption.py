@@ -131,8 +131,8 @@ def test_a_store_killed_at_any_operation(scene, transfer, batches, tmp_path, mon
         assert names(path) == ["transfer", "zarr.json"]
         assert names(at) == ["a.zarr"]
         shutil.rmtree(at)
-    assert begun > 10
-    assert finished > 3
+    assert begun > 4
+    assert finished > 1
 
 
 def test_a_replaced_store_is_always_the_old_or_the_new_one(transfer, tmp_path, monkeypatch, long):
