@@ -58,7 +58,8 @@ _OF_COLUMNS = {"xyz": ("xyz",), "rgb": ("rgb", "srgb"), "": ("spectral", "relati
 
 # Of a line without blanks at its ends.
 _KEY = re.compile(r"^#\s*([A-Za-z_]\w*)\s*:\s*(.*)$")
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+# Digits match in one way only: else a long name would take for ever.
+_NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 _LENGTH = re.compile(rf"^({_NUMBER})\s*([^\d\s.,]\S*)$")
 
 
@@ -296,7 +297,8 @@ def _directions(
     if wanted is VECTORS:
         wi, wo = table[:, :3], table[:, 3:]
         for name, way in (("wi", wi), ("wo", wo)):
-            length = np.linalg.norm(way, axis=1)
+            with np.errstate(over="ignore"):
+                length = np.linalg.norm(way, axis=1)
             _each(path, lines, name, abs(length - 1) <= 1e-3, "a unit vector, of length", length)
             _each(path, lines, name, way[:, 2] > 0, "z above 0 (the horizon);", way[:, 2])
         return wi, wo

@@ -158,6 +158,11 @@ class TestArrays:
             np.save(tmp_path / f"{name}.npy", array)
             np.testing.assert_array_equal(numpy_files.array(tmp_path / f"{name}.npy"), array)
 
+    def test_headers_of_gigabytes(self, tmp_path):
+        (tmp_path / "a.npy").write_bytes(b"\x93NUMPY\x02\x00\xff\xff\xff\xff{" + bytes(99))
+        with pytest.raises(InputError, match=r"its header is damaged: it claims 4294967295 bytes"):
+            numpy_files.array(tmp_path / "a.npy")
+
     def test_a_checksum_that_does_not_fit(self, tmp_path):
         np.savez(tmp_path / "a.npz", z=np.ones(9))
         content = bytearray((tmp_path / "a.npz").read_bytes())
@@ -294,6 +299,13 @@ def test_meshes_of_the_plane_are_none(tmp_path):
     (tmp_path / "a.obj").write_text("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n")
     with pytest.raises(InputError, match=r"a\.obj: "):
         meshfiles.load(tmp_path / "a.obj")
+
+
+def test_numbers_without_end_take_no_time(tmp_path):
+    names = "theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg," + "1" * 60_000 + "\n"
+    (tmp_path / "a.csv").write_text("# coherence: 2 um\n" + names + "1,2,3,4,5\n")
+    with pytest.raises(InputError, match=r"a\.csv: column '1111"):
+        fuzz_readers.load_measured(tmp_path / "a.csv")
 
 
 def test_lines_without_end_take_no_time(tmp_path):

@@ -66,7 +66,11 @@ def read(path: str | os.PathLike, options: Options | None = None) -> Record:
         raise InputError(f"format={name!r}: expected one of {', '.join(READERS)}")
     if options.lateral_unit is not None and name != "xyz":
         raise InputError(f"{path}: lateral_unit= is for xyz lists only")
-    record = READERS[name](path, options)
+    # What overflows in its unit is infinite, and refused below.
+    with np.errstate(over="ignore", invalid="ignore"):
+        record = READERS[name](path, options)
+    if not all(0.0 < side < np.inf for side in record.pixel):
+        raise InputError(f"{path}: pixels of {record.pixel} micrometres; expected sizes above 0")
     if min(record.heights.shape) < _LEAST_SIDE:
         raise InputError(f"{path}: a map of {record.heights.shape} pixels; expected at least 2x2")
     if np.isinf(record.heights).any():

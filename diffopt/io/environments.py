@@ -64,7 +64,7 @@ def checked(path: Path, image: np.ndarray) -> tuple[Float[np.ndarray, "H W C"], 
     InputError
         If a value is not finite, or all are 0.
     """
-    image = np.asarray(image, np.float64)
+    image = numpy_files.doubles(np.asarray(image))
     image = image[..., None] if image.ndim == 2 else image
     if not np.isfinite(image).all():
         bad = int((~np.isfinite(image)).any(-1).sum())

@@ -92,9 +92,19 @@ def png(path: Path) -> tuple[np.ndarray, str]:
 
 
 def _png_claim(path: Path, content: bytes) -> None:
-    """Refuse more samples than are read, and more than the packed bytes can hold."""
+    """Refuse more samples than are read, more than the packed bytes can hold, and chunks that
+    claim to go on beyond the file.
+    """
     import PIL.Image
 
+    at = 8
+    while at + 8 <= len(content):
+        (size,) = struct.unpack_from(">I", content, at)
+        at += 12 + size
+    if at > len(content):
+        raise InputError(
+            f"{path}: the PNG image is truncated: a chunk ends at byte {at} of {len(content)}"
+        )
     width, height, depth, kind = struct.unpack(">IIBB", content[16:26].ljust(10, b"\0"))
     channels = {2: 3, 3: 3, 4: 2, 6: 4}.get(kind, 1)
     # Of more pixels Pillow's own limit speaks.

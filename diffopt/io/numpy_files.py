@@ -5,6 +5,7 @@ fails in ways of its own (``tokenize.TokenError``). Here data are looked at befo
 allocated, and object arrays, which are pickles, are never loaded.
 """
 
+import io
 import warnings
 import zipfile
 from pathlib import Path
@@ -18,6 +19,8 @@ from diffopt.io import limits
 from diffopt.io.files import one_line, require_signature
 
 _MAGIC = b"\x93NUMPY"
+# Bytes of a header; of plain numbers it has some hundred.
+_LONGEST = 2**16
 # What NumPy writes; the others (bzip2, LZMA) need memory that only their data state.
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
@@ -84,12 +87,16 @@ def claimed(file: Any) -> tuple[tuple[int, ...], bool, np.dtype]:
         If it is damaged.
     """
     try:
-        version = layout.read_magic(file)
-        read = layout.read_array_header_1_0 if version == (1, 0) else layout.read_array_header_2_0
+        first = layout.read_magic(file) == (1, 0)
+        read = layout.read_array_header_1_0 if first else layout.read_array_header_2_0
+        length = file.read(2 if first else 4)
+        size = int.from_bytes(length, "little")
+        if size > _LONGEST:
+            raise ValueError(f"it claims {size} bytes; expected at most {_LONGEST}")
         with warnings.catch_warnings():
             # Of files that Python 2 wrote, which are read all the same.
             warnings.simplefilter("ignore", UserWarning)
-            return read(file)
+            return read(io.BytesIO(length + file.read(size)))
     except Exception as error:  # the parser of headers is one of Python, and fails as such
         raise ValueError(f"its header is damaged: {one_line(error)}") from error
 
