@@ -42,7 +42,8 @@ from fuzz_readers import READERS, Reader, Seed
 SPACE = 3 * 2**30
 #: Most memory that one file of a few kilobytes may take, bytes.
 MEMORY = 256 * 2**20
-#: Longest load of one, seconds; the first of a kind may compile. Other processes may be at work.
+#: Longest load of one, seconds of the processor; tables of new shapes compile. By the clock,
+#: which counts what other processes do and what waits for ever, four times that.
 SECONDS = 5.0
 #: Silence after which the parent kills the child: native code does not see the alarm.
 SILENCE = 30.0
@@ -482,8 +483,9 @@ def attempt(watch: Watch, load: Callable[..., Any], folder: Path, found: Case) -
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
     at_rest = _status("VmRSS")
-    began = time.monotonic()
-    signal.setitimer(signal.ITIMER_REAL, SECONDS)
+    began = time.process_time()
+    signal.setitimer(signal.ITIMER_PROF, SECONDS)
+    signal.setitimer(signal.ITIMER_REAL, 4.0 * SECONDS)
     try:
         with warnings.catch_warnings(), watch.watching():
             warnings.simplefilter("error")
@@ -510,8 +512,9 @@ def attempt(watch: Watch, load: Callable[..., Any], folder: Path, found: Case) -
         faults.append(f"{type(error).__name__} at {where}: {str(error)[:300]}")
         outcome = "failed"
     finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
         signal.setitimer(signal.ITIMER_REAL, 0)
-    seconds = time.monotonic() - began
+    seconds = time.process_time() - began
     memory = _status("VmHWM") - at_rest
     if memory > MEMORY:
         faults.append(f"{memory / 2**20:.0f} MiB of memory")
@@ -549,6 +552,7 @@ def child() -> None:
     answers = os.fdopen(_quiet(1), "w", buffering=1)
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
     signal.signal(signal.SIGALRM, _alarm)
+    signal.signal(signal.SIGPROF, _alarm)
     with contextlib.suppress(ImportError), warnings.catch_warnings():
         # Asks the system for its processor when it is imported.
         warnings.simplefilter("ignore")
@@ -602,7 +606,7 @@ class Report:
     faults
         One line each: case, file, damage, what was wrong.
     seconds, memory
-        Most of a single file: seconds, bytes.
+        Most of a single file: seconds of the processor, bytes.
     whole
         Seconds of all.
     """
@@ -735,6 +739,7 @@ def scratch() -> "tempfile.TemporaryDirectory[str]":
 def again(name: str, number: int, folder: Path | None = None) -> None:
     """Make a case once more and say what comes out."""
     signal.signal(signal.SIGALRM, _alarm)
+    signal.signal(signal.SIGPROF, _alarm)
     reader = READERS[name]
     seeds = reader.seeds()
     found = case(name, seeds, number)
