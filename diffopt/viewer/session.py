@@ -1,6 +1,7 @@
 """One viewer: frames are drawn as long as something changes, and refined when nothing does."""
 
 import dataclasses
+import statistics
 import threading
 import time
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -32,8 +33,9 @@ _TELL = 0.25
 _INSIDE = ((0.5, 0.5), (0.375, 0.125), (0.875, 0.375), (0.125, 0.625), (0.625, 0.875))
 # Pixels show more than colours of vertices, which must be so many times as fast to be taken.
 _CLEARLY = 1.5
-# Frames by which both ways are compared, after one each that does not count.
-_COMPARED = 3
+# Frames by which both ways are compared, and how many of them do not count: a page that has
+# just been opened stutters.
+_COMPARED, _SETTLING = 8, 3
 
 
 class GoneError(Exception):
@@ -288,7 +290,8 @@ class Session:
         asked = values.get("drawn", PIXELS)
         if asked != FASTER:
             return asked
-        return self._faster or min(self._compared, key=lambda way: len(self._compared[way]))
+        # One way after the other, as in motion: the browser is slower with many meshes in a row.
+        return self._faster or (VERTICES if len(self._compared[PIXELS]) >= _COMPARED else PIXELS)
 
     def _coarse(self, camera: Camera) -> int:
         """Pixels of a coarse frame, on a side, that keep to the time of a frame."""
@@ -344,8 +347,10 @@ class Session:
 
     def _compare(self, way: str, spent: float) -> None:
         self._compared[way].append(spent)
-        if min(map(len, self._compared.values())) > _COMPARED:
-            spent_by = {way: sum(each[1:]) for way, each in self._compared.items()}
+        if min(map(len, self._compared.values())) >= _COMPARED:
+            spent_by = {
+                way: statistics.median(each[_SETTLING:]) for way, each in self._compared.items()
+            }
             clearly = _CLEARLY * spent_by[VERTICES] < spent_by[PIXELS]
             self._faster = VERTICES if clearly else PIXELS
 
