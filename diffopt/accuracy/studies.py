@@ -204,12 +204,16 @@ class Study:
                 rows.append(Row(**{**kept, "settings": case.settings}))
                 continue
             with jax.enable_x64(case.dtype == "float64"):
-                rows.append(_row(case, programs, repeats))
+                rows.append(self.measured(case, programs, repeats))
             if keep is not None:
                 keep.save(done, rows[-1])
         if progress is not None:
             progress(len(cases), len(cases), "")
         return StudyResult(self, tuple(rows))
+
+    def measured(self, case: Case, programs: dict[Hashable, Any], repeats: int) -> "Row":
+        """The row of a case; `programs` holds those that cases share."""
+        return _row(case, programs, repeats)
 
     def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
         from diffopt.previews import bundles, studies

@@ -10,15 +10,14 @@ longer. Quick cases run once; their times have compilation in them.
 import dataclasses
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
 from diffopt.accuracy import output, transfer_estimators, transfer_runs
-from diffopt.accuracy.studies import Case, Job, Progress, Row, Study, StudyResult, Value
+from diffopt.accuracy.studies import Case, Job, Row, Study, Value
 from diffopt.accuracy.transfer_runs import Setup
 from diffopt.transfer import relighting
 from diffopt.transfer.lighting import HarmonicSettings
@@ -48,22 +47,10 @@ class Outcome:
 class HostStudy(Study):
     """A study whose cases time themselves: their jobs return an `Outcome`."""
 
-    def run(
-        self, quick: bool = False, progress: Progress | None = None, repeats: int = 5
-    ) -> StudyResult:
-        """Run every case; `repeats` is not used."""
-        cases, rows = self.cases(quick), []
-        for done, case in enumerate(cases):
-            if progress is not None:
-                progress(done, len(cases), output.label(case.settings))
-            with jax.enable_x64(False):
-                found: Outcome = case.build().function()
-            rows.append(
-                Row(case.settings, found.error, None, found.compile_s, found.run_s, note=found.note)
-            )
-        if progress is not None:
-            progress(len(cases), len(cases), "")
-        return StudyResult(self, tuple(rows))
+    def measured(self, case: Case, programs: dict[Hashable, Any], repeats: int) -> Row:
+        """The row of a case; `programs` and `repeats` are not used."""
+        found: Outcome = case.build().function()
+        return Row(case.settings, found.error, None, found.compile_s, found.run_s, note=found.note)
 
 
 def _case(conditions: dict[str, Value], shown: dict[str, Value], run: Callable[[], Any]) -> Case:
