@@ -106,7 +106,9 @@ def _em_step(
     s = s1[1:]
     t = _distances(s, mu)
     each = (log_share + vmf.log_peak(kappa))[:, None] - kappa[:, None] * t
-    highest = each.max(0)
+    # It cancels. The slope of a maximum compares values that the compiler may round anew, and
+    # is 0 / 0 where none of them is found again.
+    highest = jax.lax.stop_gradient(each).max(0)
     density = jnp.exp(each - highest[None])
     together = density.sum(0)
     whole = weights.sum()
