@@ -67,7 +67,9 @@ def coherent(
         Whether directions are the outer product of the lines of `ay` and `ax`.
     """
     at, t = _interval(s, nodes)
-    centre = 0.5 * (heights.max() + heights.min())
+    # It cancels, and has no slope.
+    held = jax.lax.stop_gradient(heights)
+    centre = 0.5 * (held.max() + held.min())
 
     def evaluate(s_node):
         return contract(ay, cis_turns(s_node * (heights - centre)), ax, grid)

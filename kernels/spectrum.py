@@ -104,7 +104,9 @@ def desaturate(
     grey = jnp.maximum(luminance, 0.0)[..., None]
     outside = rgb < 0.0
     span = jnp.where(outside, grey - rgb, 1.0)
-    t = jnp.min(jnp.where(outside, grey / span, 1.0), axis=-1, keepdims=True)
+    each = jnp.where(outside, grey / span, 1.0)
+    # By pairs: the slope of a minimum over an axis is 0 / 0 where values are rounded anew.
+    t = jnp.minimum(jnp.minimum(each[..., :1], each[..., 1:2]), each[..., 2:3])
     t = jnp.where(grey > 0.0, t, 0.0)
     # Rounding leaves the limiting coordinate within an ulp or so of 0, on either side.
     return jnp.maximum(grey + t * (rgb - grey), 0.0)
