@@ -97,7 +97,9 @@ def gather_tables(
         if surface.drop_mean:
             coefficients = coefficients.at[:, :, 0, 0].set(0.0)
     else:
-        span = heights.max() - heights.min()
+        # Where the expansion has its digits: values do not depend on it, and it has no slope.
+        held = jax.lax.stop_gradient(heights)
+        span = held.max() - held.min()
         middle, half = expansions.interval(s_range[0], s_range[1], span)
         if isinstance(settings, ChebyshevSettings):
             matrix = expansions.chebyshev_projection(settings.terms, heights.dtype)

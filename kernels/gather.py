@@ -25,8 +25,14 @@ ROWS = 32
 def height_scale(
     heights: Float[Array, "ny nx"], *, centred: bool
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Base and scale (micrometres) that map the heights to [-1, 1] (centred) or [0, 1]."""
-    low, high = heights.min(), heights.max()
+    """Base and scale (micrometres) that map the heights to [-1, 1] (centred) or [0, 1].
+
+    Without slopes: what is expanded about the base in units of the scale does not depend on
+    them, and that of a maximum is 0 / 0 where the compiler computes the heights twice and
+    rounds them in two ways.
+    """
+    held = jax.lax.stop_gradient(heights)
+    low, high = held.min(), held.max()
     base = 0.5 * (low + high) if centred else low
     span = high - base
     return base, jnp.where(span > 0, span, 1.0)
@@ -86,7 +92,7 @@ def node_spectra(
     Array
         ``ifft2``, FFT order, second axis (real, imaginary).
     """
-    centre = jax.lax.stop_gradient(height_scale(heights, centred=True)[0])
+    centre, _ = height_scale(heights, centred=True)
 
     def one(s):
         return _amplitude(*cis_turns(s * (heights - centre)))
