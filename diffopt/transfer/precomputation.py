@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -16,6 +16,7 @@ from diffopt.scenes import raycasting
 from diffopt.scenes.scene import Scene
 from diffopt.transfer import tessellation
 from diffopt.transfer.angular import Estimator, Vertices
+from diffopt.transfer.distributed import Company
 from diffopt.transfer.refinement import Measure, Refinement
 from diffopt.transfer.reflectors import reflectors
 from diffopt.transfer.settings import TransferSettings
@@ -213,11 +214,12 @@ def precompute(
     report: Callable[[Progress], None] | None = None,
     threads: int | None = None,
     uniform: int | None = None,
+    company: Company | None = None,
 ) -> Transfer:
     """Precompute the transfer of a scene, adaptively.
 
     The same scene and settings give the same result, also when batches of an interrupted run
-    are at hand.
+    are at hand, and with any number of processes.
 
     Parameters
     ----------
@@ -236,14 +238,18 @@ def precompute(
         Batches in work at a time; as many as pay by default.
     uniform
         Split all triangles this often instead of adaptively, for comparison.
+    company
+        Processes that work on it together; `batches` are shared by them.
 
     Raises
     ------
     InputError
-        For scenes that transfer does not hold; names the object.
+        For scenes that transfer does not hold; names the object. If processes do not agree.
     """
     settings = settings or TransferSettings()
-    return _Run(scene, settings, backend, batches, report, threads).whole(uniform)
+    if company is not None and batches is None:
+        raise InputError("company: processes work together by batches that they share; got none")
+    return _Run(scene, settings, backend, batches, report, threads, company).whole(uniform)
 
 
 class _Run:
@@ -257,8 +263,10 @@ class _Run:
         batches: Batches | None,
         report: Callable[[Progress], None] | None,
         threads: int | None,
+        company: Company | None,
     ) -> None:
         self.settings, self.batches, self.report = settings, batches, report
+        self.company = company
         self.around = surroundings(scene, backend)
         self.mesh = begun(self.around, self.settings.longest)
         if not len(self.mesh.faces):
@@ -274,12 +282,17 @@ class _Run:
     def whole(self, uniform: int | None) -> Transfer:
         if uniform is not None:
             self.mesh = tessellation.uniform(self.mesh, uniform)
+        if self.company is not None:
+            self.company.agreed("the triangles", self.mesh.vertices, self.mesh.faces)
         self._round(0)
         refinement = Refinement(self.settings)
         while uniform is None:
             chosen, waiting = refinement.chosen(
                 self.mesh, self._known, self.reflector, self._measures()
             )
+            if self.company is not None:
+                step = f"what to split after round {len(self.rounds)}"
+                self.company.agreed(step, chosen, np.asarray(waiting))
             if not len(chosen):
                 break
             self.mesh = tessellation.split(self.mesh, chosen)
@@ -305,20 +318,43 @@ class _Run:
             mine = new[label[new] == number]
             step = self.settings.chunk
             parts += [mine[k : k + step] for k in range(0, len(mine), step)]
-        done = old
-        for rows, batch in zip(parts, self._computed(parts), strict=True):
-            self.found.append((rows, batch))
-            done += len(rows)
-            if self.report is not None:
-                self.report(Progress(len(self.rounds), done, len(label)))
+        if self.company is None:
+            found = self._computed(parts, range(len(parts)), old)
+        else:
+            found = self._shared(parts, self.company, old)
+        self.found += zip(parts, found, strict=True)
+        self.number += len(parts)
         seconds = time.perf_counter() - began
         leaves = tessellation.leaves(mesh)
         self.rounds.append(Round(len(label), len(leaves), waiting, seconds))
 
-    def _computed(self, parts: list[np.ndarray]) -> Iterator[Vertices]:
+    def _shared(self, parts: list[np.ndarray], company: Company, old: int) -> list[Vertices]:
+        """A round of which this process computes its share, and reads the rest."""
+        first, batches = self.number, self.batches
+        assert batches is not None
+        own = [k for k in range(len(parts)) if (first + k) % company.count == company.index]
+        found = dict(zip(own, self._computed(parts, own, old, company.count), strict=True))
+        company.together(f"round {len(self.rounds)}")
+
+        def one(k: int) -> Vertices:
+            def look() -> Vertices | None:
+                kept = batches.load(first + k)
+                return kept if kept is not None and len(kept.level) == len(parts[k]) else None
+
+            return found[k] if k in found else company.seen(f"batch {first + k}", look)
+
+        every = list(workers.ahead(one, range(len(parts)), self.threads))
+        if self.report is not None:
+            self.report(Progress(len(self.rounds), len(self.axes), len(self.axes)))
+        return every
+
+    def _computed(
+        self, parts: list[np.ndarray], which: Sequence[int], old: int, count: int = 1
+    ) -> list[Vertices]:
+        """Some batches of a round; `count` processes are taken to be as far as this one."""
         first = self.number
-        self.number += len(parts)
-        for rows in parts:  # made here: their tables are not made twice by threads
+        # Made here, of all parts, as refinement asks for them: threads would make tables twice.
+        for rows in parts:
             self._estimator(int(self.reflector[rows[0]]))
 
         def one(k: int) -> Vertices:
@@ -332,7 +368,13 @@ class _Run:
                 self.batches.save(first + k, batch)
             return batch
 
-        return workers.ahead(one, range(len(parts)), self.threads)
+        found, done, known = [], old, len(self.axes)
+        for k, batch in zip(which, workers.ahead(one, which, self.threads), strict=True):
+            found.append(batch)
+            done = min(done + count * len(parts[k]), known)
+            if self.report is not None:
+                self.report(Progress(len(self.rounds), done, known))
+        return found
 
     def _known(self) -> Known:
         count = len(self.axes)

@@ -118,6 +118,10 @@ class Working:
         As given to `precompute`.
     afresh
         Throw away batches of another scene or other settings instead of refusing them.
+    session
+        Name of what is timed together; that of a process among several is RUN/NUMBER.
+    joined
+        Whether another process of the run holds the lock, and has begun.
 
     Raises
     ------
@@ -135,21 +139,25 @@ class Working:
         backend: str = "embree",
         uniform: int | None = None,
         afresh: bool = False,
+        session: str | None = None,
+        joined: bool = False,
     ) -> None:
         self.path = Path(path)
         self.folder = self.path / FOLDER
         self.settings = settings
         self.identity = identity(scene, settings, backend=backend, uniform=uniform)
         self._guard = threading.Lock()
-        self._session = uuid.uuid4().hex
+        self._session = session or uuid.uuid4().hex
         self._earlier: dict[str, tuple[float, float]] = {}
-        self.folder.mkdir(exist_ok=True)
-        self._lock = Lock(self.folder / "lock", self.path)
-        try:
-            self._begin(afresh)
-        except BaseException:
-            self.close()
-            raise
+        self._lock: Lock | None = None
+        if not joined:
+            self.folder.mkdir(exist_ok=True)
+            self._lock = Lock(self.folder / "lock", self.path)
+            try:
+                self._begin(afresh)
+            except BaseException:
+                self.close()
+                raise
         self._clock, self._cpu = time.perf_counter(), time.process_time()
 
     def __enter__(self) -> "Working":
@@ -171,10 +179,13 @@ class Working:
     @property
     def spent(self) -> tuple[float, float]:
         """Seconds by the clock and of all cores, with those of earlier runs as far as loaded."""
-        own = self._own()
         with self._guard:
-            every = [*self._earlier.values(), own]
-        return sum(clock for clock, _ in every), sum(cpu for _, cpu in every)
+            every = {**self._earlier, self._session: self._own()}
+        clock: dict[str, float] = {}
+        for name, (seconds, _) in every.items():
+            run = name.partition("/")[0]  # whose processes ran side by side
+            clock[run] = max(clock.get(run, 0.0), seconds)
+        return sum(clock.values()), sum(cpu for _, cpu in every.values())
 
     def load(self, number: int) -> Vertices | None:
         """A batch that was kept, or None; damaged ones count as none."""
@@ -220,7 +231,8 @@ class Working:
 
     def close(self) -> None:
         """Give the lock back; batches stay."""
-        self._lock.release()
+        if self._lock is not None:
+            self._lock.release()
 
     def discard(self) -> None:
         """Remove all batches, and give the lock back."""
