@@ -53,6 +53,14 @@ def log_sinhc(k: Float[Array, "..."]) -> Float[Array, "..."]:
     return jnp.where(small, near, far)
 
 
+def log_sinhc_root(square: Float[Array, "..."]) -> Float[Array, "..."]:
+    """`log_sinhc` of the root of a square >= 0, with all its slopes at 0: square / 6 there."""
+    small = square < 1.0
+    low = jnp.where(small, square, 0.25)
+    near = jnp.log1p(low * _series(low, even=False))
+    return jnp.where(small, near, log_sinhc(jnp.sqrt(jnp.where(small, 4.0, square))))
+
+
 def log_sinhc_complement(k: Float[Array, "..."]) -> Float[Array, "..."]:
     """The rest k - log(sinh(k) / k): log 2k for large k; its slope is `langevin_complement`."""
     small, low, high = _split(k)

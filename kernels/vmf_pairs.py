@@ -8,6 +8,7 @@ cancellation. (The glossy-transfer paper prints the reciprocal of kappa_c in its
 
 import math
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -19,6 +20,7 @@ from diffopt.kernels.langevin import (
     langevin_complement,
     langevin_slope,
     log_sinhc,
+    log_sinhc_root,
 )
 
 Scalars = Float[Array, "*#batch"]
@@ -36,20 +38,35 @@ def _root(x: Array) -> Array:
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1.0)), 0.0)
 
 
+def _combined_square(together: Array, kappa0: Scalars, kappa1: Scalars) -> Array:
+    return (kappa0 - kappa1) ** 2 + kappa0 * kappa1 * together
+
+
 def combined(
     mu0: Directions, kappa0: Scalars, mu1: Directions, kappa1: Scalars
 ) -> tuple[Array, Array]:
     """kappa_c = |k0 mu0 + k1 mu1|, and k0 + k1 - kappa_c."""
     together, apart = _squares(mu0, mu1)
-    both = _root((kappa0 - kappa1) ** 2 + kappa0 * kappa1 * together)
+    both = _root(_combined_square(together, kappa0, kappa1))
     total = both + kappa0 + kappa1
     return both, kappa0 * (kappa1 / jnp.where(total > 0.0, total, 1.0)) * apart
 
 
+def _overlap(mu0: Directions, kappa0: Scalars, mu1: Directions, kappa1: Scalars) -> Array:
+    """-log n(kappa_c) - delta, smooth where the two cancel: a root has no slope there."""
+    together, apart = _squares(mu0, mu1)
+    square = _combined_square(together, kappa0, kappa1)
+    small = square < 1.0
+    near = log_sinhc_root(jnp.where(small, square, 0.25)) - (kappa0 + kappa1)
+    both = jnp.sqrt(jnp.where(small, 4.0, square))
+    delta = kappa0 * (kappa1 / (both + kappa0 + kappa1)) * apart
+    return jnp.where(small, vmf.LOG_4_PI + near, -vmf.log_peak(both) - delta)
+
+
 def log_inner(mu0: Directions, kappa0: Scalars, mu1: Directions, kappa1: Scalars) -> Array:
     """Log of the integral of the product of two densities over the sphere."""
-    both, delta = combined(mu0, kappa0, mu1, kappa1)
-    return vmf.log_peak(kappa0) + vmf.log_peak(kappa1) - vmf.log_peak(both) - delta
+    own = vmf.log_peak(kappa0) + vmf.log_peak(kappa1)
+    return own + _overlap(mu0, kappa0, mu1, kappa1)
 
 
 def product(
@@ -63,8 +80,8 @@ def product(
         ``(log_weight, mu, kappa)``: log of its integral, its direction (that of the first
         lobe where the two cancel) and its concentration.
     """
-    both, delta = combined(mu0, kappa0, mu1, kappa1)
-    weight = vmf.log_peak(kappa0) + vmf.log_peak(kappa1) - vmf.log_peak(both) - delta
+    both, _ = combined(mu0, kappa0, mu1, kappa1)
+    weight = log_inner(mu0, kappa0, mu1, kappa1)
     vector = kappa0[..., None] * mu0 + kappa1[..., None] * mu1
     some = both > 0.0
     mu = jnp.where(some[..., None], vector / jnp.where(some, both, 1.0)[..., None], mu0)
@@ -108,7 +125,7 @@ def divergence(mu0: Directions, kappa0: Scalars, mu1: Directions, kappa1: Scalar
 
 def log_similarity(mu0: Directions, kappa0: Scalars, mu1: Directions, kappa1: Scalars) -> Array:
     """Log of the cosine between two densities in L2, <= 0: inner product over both norms."""
-    _, apart = _squares(mu0, mu1)
+    together, apart = _squares(mu0, mu1)
     both, delta = combined(mu0, kappa0, mu1, kappa1)
     low = (kappa0 < 1.0) & (kappa1 < 1.0)
     # The squeeze below within -1/2 and 3, and no difference of logarithms: 1 + squeeze is
@@ -119,16 +136,19 @@ def log_similarity(mu0: Directions, kappa0: Scalars, mu1: Directions, kappa1: Sc
     def safe(mask: Array, value: Array, filler: float) -> Array:
         return jnp.where(mask, value, filler)
 
-    k0, k1, kc = (safe(low, k, 0.5) for k in (kappa0, kappa1, both))
-    small = log_sinhc(kc) - 0.5 * (log_sinhc(2.0 * k0) + log_sinhc(2.0 * k1))
+    k0, k1 = safe(low, kappa0, 0.5), safe(low, kappa1, 0.5)
+    small = log_sinhc_root(_combined_square(together, k0, k1))
+    small = small - 0.5 * (log_sinhc(2.0 * k0) + log_sinhc(2.0 * k1))
     k0, k1, kc = (safe(near, k, 1.0) for k in (kappa0, kappa1, both))
     squeeze = (k0 / kc) * (k1 / kc) * safe(near, apart, 0.0) - ((k0 - k1) / kc) ** 2
     tails = jnp.log1p(-jnp.exp(-2.0 * kc))
     tails -= 0.5 * (jnp.log1p(-jnp.exp(-4.0 * k0)) + jnp.log1p(-jnp.exp(-4.0 * k1)))
     close = 0.5 * jnp.log1p(squeeze) - delta + tails
     far = 0.5 * (vmf.log_peak(2.0 * kappa0) + vmf.log_peak(2.0 * kappa1))
-    far = far - vmf.log_peak(both) - delta
-    return jnp.minimum(jnp.where(low, small, jnp.where(near, close, far)), 0.0)
+    far = far + _overlap(mu0, kappa0, mu1, kappa1)
+    value = jnp.where(low, small, jnp.where(near, close, far))
+    # Rounding alone lifts it above 0; a minimum would halve the slopes of like lobes.
+    return value - jax.lax.stop_gradient(jnp.maximum(value, 0.0))
 
 
 def squared_distance(

@@ -1,5 +1,7 @@
 """Directions distributed as a von Mises-Fisher lobe, for every concentration from 0 on."""
 
+import math
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
@@ -26,13 +28,28 @@ def one_minus_cosine(v: Float[Array, "*#batch"], kappa: Float[Array, "*#batch"])
     Array
         In [0, 2].
     """
-    # Below this the next term of the series, v (1-v) (1-2v) kappa^2 4/3, is under eps.
-    small = kappa < (1e-4 if v.dtype == jnp.float32 else 1e-8)
-    k = jnp.where(small, 1.0, kappa)
+    # A quotient of two small numbers has lost its slopes by kappa^-1 and kappa^-2. With
+    # y = 1 - exp(-2 kappa) times v and z = y / (2 - y), -log(1 - y) = 2 artanh z; all terms small.
+    small = kappa < 0.125
     low = jnp.where(small, kappa, 0.0)
-    return jnp.where(
-        small, 2.0 * v * (1.0 - low * (1.0 - v)), -jnp.log1p(v * jnp.expm1(-2.0 * k)) / k
-    )
+    single = v.dtype == jnp.float32
+    fall = _fall(2.0 * low, 6 if single else 12)  # (1 - exp(-x)) / x
+    y = 2.0 * low * (v * fall)
+    z = y / (2.0 - y)
+    series = jnp.zeros_like(z)
+    for n in reversed(range(4 if single else 9)):  # z^2 is at most 0.016
+        series = series * (z * z) + 1.0 / (2 * n + 1)
+    near = 4.0 * (v * fall) / (2.0 - y) * series
+    k = jnp.where(small, 1.0, kappa)
+    return jnp.where(small, near, -jnp.log1p(v * jnp.expm1(-2.0 * k)) / k)
+
+
+def _fall(x: Array, terms: int) -> Array:
+    """(1 - exp(-x)) / x by its series, for x up to 1/4."""
+    total = jnp.zeros_like(x)
+    for n in reversed(range(terms)):
+        total = 1.0 / math.factorial(n + 1) - x * total
+    return total
 
 
 def warp(

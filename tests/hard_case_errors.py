@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from hard_cases import LD, rows
+from hard_cases.curvatures import along, curved, ways
 from harmonic_cases import harmonic_rows
 from intersect_cases import intersect_rows
 from lighting_cases import lighting_rows
@@ -27,6 +28,9 @@ from tabulated_cases import tabulated_rows
 ROWS = [*rows(), *material_rows(), *tabulated_rows(), *lobe_rows(), *intersect_rows()]
 ROWS += harmonic_rows()
 ROWS += lighting_rows()
+BENT = list(curved())
+#: Below it a second derivative counts as 0.
+LEAST = 1e-37
 # Differences of the 80-bit twin over at most 1e-8: 1e-11 of rounding; over 1e-9 at cosines of
 # 1.7e-5, 4e-9 of the third derivative.
 STEP = LD("1e-6")
@@ -145,6 +149,38 @@ def measured(row, dtype, mapped=False):
         each = [np.abs(np.asarray(s[index]).astype(LD) - numeric).max() for s in gradients]
         errors.append(float(np.max(each)) / size)
     return Errors(off / eps / scale, finite, tuple(errors))
+
+
+def bent(row, dtype):
+    """Largest error of second derivatives by kernel, ulps (`Curved`); infinite if not finite."""
+    places = np.asarray(row.places, dtype)
+    along_all = np.asarray(ways(places.shape[1]), dtype)
+
+    def once(x, way):
+        return jax.jvp(row.call, (x,), (way,))[1]
+
+    def twice(x, way):
+        return jax.jvp(lambda x: once(x, way), (x,), (way,))[1]
+
+    every = jax.vmap(jax.vmap(twice, (None, 0)), (0, None))
+    found = np.asarray(jax.jit(every)(places, along_all)).astype(float)
+    eps, worst = float(jnp.finfo(dtype).eps), dict.fromkeys(row.kernels, 0.0)
+    directions = [tuple(way) for way in along_all.astype(float).tolist()]
+    for place, derivatives in zip(places.astype(float).tolist(), found, strict=True):
+        right = {way: along(row.exact, tuple(place), way) for way in directions}
+        for way, derivative in zip(directions, derivatives, strict=True):
+            value, exact = right[way]
+            size = max(1.0, *(abs(x) for x, w in zip(place, way, strict=True) if w))
+            # Along two arguments at once, those along each may cancel.
+            parts = [np.abs(right[w][1]) for w in directions[: len(way)] if np.dot(w, way)]
+            for kernel in worst:
+                mine = np.array([k == kernel for k in row.kernels])
+                least = max(np.abs(value[mine]).max() / size**2, LEAST)
+                least = np.maximum(np.max(parts, 0), least)[mine]
+                error = np.abs(derivative - exact)[mine] / np.maximum(np.abs(exact)[mine], least)
+                error = np.where(np.isfinite(error), error, np.inf)
+                worst[kernel] = max(worst[kernel], float(error.max()) / eps)
+    return worst
 
 
 def differences(twin, exact, index):

@@ -8,7 +8,7 @@ from typing import get_args
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hard_case_errors import NUMERIC, ROWS, measured
+from hard_case_errors import BENT, NUMERIC, ROWS, bent, measured
 
 import diffopt.kernels
 
@@ -49,3 +49,9 @@ def test_value_and_gradient(row, dtype, long):
     eps = float(jnp.finfo(dtype).eps)
     for index, error in enumerate(found.slopes):
         assert error <= row.gradient_ulps * eps + NUMERIC, f"argument {index}"
+
+
+@pytest.mark.parametrize("row", BENT, ids=[f"{r.kernels[0]}-{r.label}" for r in BENT])
+def test_second_derivatives(row, dtype):
+    worst = bent(row, dtype)
+    assert max(worst.values()) <= row.ulps, worst

@@ -4,7 +4,8 @@ Every array-valued public function of `diffopt.kernels` has at least one row her
 sees to it). A row gives the arguments and a twin in NumPy extended precision (80 bits);
 values, compiled and not, in both dtypes, are compared with the twin, gradients with central
 differences of the twin. `ulps` is the error allowed, in units of the dtype's eps times the
-largest value; its reason stands beside it where it is not a handful of operations.
+largest value; its reason stands beside it where it is not a handful of operations. Second
+derivatives are in `curvatures`.
 """
 
 from hard_cases.base import LD, PI, Hard
@@ -12,6 +13,7 @@ from hard_cases.colours import colours
 from hard_cases.directions import directions
 from hard_cases.ensembles import bessels, ensembles
 from hard_cases.gathers import gathers
+from hard_cases.lobes import lobes
 from hard_cases.phases import phases
 from hard_cases.reflectances import reflectances
 from hard_cases.splines import splines
@@ -33,3 +35,4 @@ def rows():
     yield from reflectances()
     yield from colours()
     yield from splines()
+    yield from lobes()
