@@ -34,6 +34,7 @@
 `shadows`              soft shadows of deforming objects
 `transfer`             glossy surfaces relit from precomputed transfer
 `workers`              work of several threads, in order
+`devices`              batches over several devices; `spreading`: of pairs of directions
 `colour`               spectra to XYZ to sRGB
 `illuminants`          illuminants, the observer, weights from spectra to XYZ
 `bands`                three bands in place of the matching functions
@@ -60,6 +61,9 @@ from diffopt.accuracy.studies import study as study
 from diffopt.brdf_lobes import BRDFLobes as BRDFLobes
 from diffopt.choice import Choice as Choice
 from diffopt.choice import PreparedBRDF as PreparedBRDF
+from diffopt.devices import each as each
+from diffopt.devices import in_batches as in_batches
+from diffopt.devices import spread as spread
 from diffopt.diffraction import DiffractionBRDF as DiffractionBRDF
 from diffopt.errors import InputError as InputError
 from diffopt.heightfield import Heightfield as Heightfield

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from diffopt import baking, bounds, candidates, checks, colour, few, stores
+from diffopt import baking, bounds, candidates, checks, colour, devices, few, spreading, stores
 from diffopt.baking import Box
 from diffopt.candidates import METHODS as METHODS
 from diffopt.candidates import Candidate as Candidate
@@ -137,9 +137,14 @@ class PreparedBRDF(eqx.Module):
             checks.directions("wi", wi)
             checks.directions("wo", wo)
             dtype = self.wavelengths.dtype
+            over, axis = spreading.pairs(wi, wo)
             wi, wo = jnp.broadcast_arrays(jnp.asarray(wi, dtype), jnp.asarray(wo, dtype))
             assert isinstance(self.settings, FewSettings)
-            return few.evaluate_few(self.brdf, self.tables, wi, wo, self.settings)
+            given = self.brdf, self.tables, wi, wo, self.settings
+            if over is not None:
+                axes = None, None, axis, axis, None
+                return devices.run(few.evaluate_few, given, axes, axis, over)
+            return few.evaluate_few(*given)
         return evaluate(
             self.brdf,
             wi,
@@ -307,7 +312,7 @@ def prepare(
     dtype = brdf.surface.heights.dtype
     return PreparedBRDF(
         brdf=brdf,
-        wavelengths=jnp.asarray(lam, dtype),
+        wavelengths=devices.like(wavelengths, jnp.asarray(lam, dtype)),
         weights=None if weights is None else jnp.asarray(weights, dtype),
         tables=_set_up(job, best.settings, progress),
         settings=best.settings,

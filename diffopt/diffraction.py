@@ -19,7 +19,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from diffopt import checks, colour, gathering, methods
+from diffopt import checks, colour, devices, gathering, methods, spreading
 from diffopt.checks import Values
 from diffopt.errors import InputError
 from diffopt.fresnel import Constant, Reflectance
@@ -386,12 +386,17 @@ def evaluate(
     checks.directions("wi", wi)
     checks.directions("wo", wo)
     checks.wavelengths(wavelengths)
+    over, axis = spreading.pairs(wi, wo)
+    over = devices.common(wavelengths) if over is None else over
     wi, wo = jnp.broadcast_arrays(jnp.asarray(wi, dtype), jnp.asarray(wo, dtype))
     wavelengths = jnp.atleast_1d(jnp.asarray(wavelengths, dtype))
     if weights is not None:
         weights = jnp.asarray(weights, dtype)
     refuse(brdf, settings)
-    return _evaluate(brdf, wi, wo, wavelengths, weights, tables, settings=settings, output=output)
+    given = brdf, wi, wo, wavelengths, weights, tables
+    if over is not None:
+        return spreading.evaluated(_evaluate, over, axis, given, settings, output)
+    return _evaluate(*given, settings=settings, output=output)
 
 
 def refuse(brdf: DiffractionBRDF, settings: Settings) -> None:

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
-from diffopt import checks
+from diffopt import checks, devices
 from diffopt.accuracy.measurement import peak_bytes
 from diffopt.brdf_lobes import BRDFLobes
 from diffopt.chunks import in_chunks
@@ -133,7 +133,7 @@ def fit_nodes(
     Parameters
     ----------
     nodes
-        The functions.
+        The functions; spread over devices (`diffopt.spread`), every device fits its share.
     lobes
         Number of lobes, 1 to 64.
     method
@@ -169,13 +169,22 @@ def fit_nodes(
             )
         begun = (start.alpha.reshape(*start.kappa.shape, -1).mean(-1), start.mu, start.kappa)
         method = "lm"
+    place = devices.placement(nodes.values)
+    over = None if place is None or place[1] else place[0]
+    given = nodes, key, begun, count, method, settings
     if settings.rounds == 1 or "lm" not in method:
-        return _whole(nodes, key, begun, count, method, settings)
-    found, gain = _fit(nodes, key, begun, count, method, settings)
+        return _each(over, _whole, given, (0, None, 0, *[None] * 3))
+    found, gain = _each(over, _fit, given, (0, None, 0, *[None] * 3))
     gain = np.array(gain)
     steps = np.full(gain.shape, _steps(method, settings, begun))
-    found = _rounds(nodes, found, gain, steps, settings)
-    return _finish(nodes, found, jnp.asarray(gain), jnp.asarray(steps), method, settings)
+    found = _rounds(nodes, found, gain, steps, settings, over)
+    ended = nodes, found, jnp.asarray(gain), jnp.asarray(steps), method, settings
+    return _each(over, _finish, ended, (0, 0, 0, 0, None, None))
+
+
+def _each(over: Any, function: Callable, given: tuple, axes: tuple) -> Any:
+    """A compiled part of a fit, where functions are spread over devices every one its share."""
+    return function(*given) if over is None else devices.run(function, given, axes, 0, over)
 
 
 def fit_bytes(nodes: Nodes, lobes: int, settings: LobeSettings, key: PRNGKeyArray) -> int | None:
@@ -298,7 +307,12 @@ def _descend(
 
 
 def _rounds(
-    nodes: Nodes, begun: tuple, gain: np.ndarray, steps: np.ndarray, settings: LobeSettings
+    nodes: Nodes,
+    begun: tuple,
+    gain: np.ndarray,
+    steps: np.ndarray,
+    settings: LobeSettings,
+    over: Any,
 ) -> tuple:
     """Go on with what has not settled, in batches of powers of two; changes gain and steps."""
     lobes = begun[2].shape[1]
@@ -307,10 +321,11 @@ def _rounds(
         if not active.size:
             break
         size = min(1 << int(active.size - 1).bit_length(), gain.size)
+        if over is not None:
+            size = -(-size // over.size) * over.size
         padded = np.resize(active, size)  # the rest repeats
-        found, gained = _fit(
-            members(nodes, padded), None, members(begun, padded), lobes, "lm", settings
-        )
+        given = members(nodes, padded), None, members(begun, padded), lobes, "lm", settings
+        found, gained = _each(over, _fit, given, (0, None, 0, *[None] * 3))
         begun = _replaced(begun, active, found)
         gain[active] = np.asarray(gained)[: active.size]
         steps[active] += settings.lm_steps

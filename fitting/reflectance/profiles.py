@@ -115,7 +115,8 @@ def profile(
     y = jnp.asarray(np.tile(start, (len(held), 1)), jnp.result_type(float))
     each = jnp.asarray(np.repeat(held, len(sets)), fit.model.dtype)
     like = jax.vmap(lambda value: fit.model.replaced({name: value}))(each)
-    found = solving.solve(
+    found = solving.solve_on(
+        settings.devices,
         job,
         like,
         box,

@@ -109,7 +109,9 @@ class Run:
         """Solve from starts [S, P] in one program; keep where they ended."""
         options = {"blurs": None, **self.settings.last(job.values), **options}
         start = jnp.asarray(y, jnp.result_type(float))
-        found = solving.solve(job, like, self.box, start, reach=reach, **options)
+        blurs = options.pop("blurs")
+        among = self.settings.devices
+        found = solving.solve_on(among, job, like, self.box, start, blurs, reach=reach, **options)
         found = jax.block_until_ready(found)
         curves = np.asarray(found.curves)
         curves = curves.reshape(len(curves), -1)

@@ -48,6 +48,8 @@ class FitSettings:
         Of the last solve, on y and on the squared loss; the root of the rounding unit if None.
     max_steps
         Of each solve.
+    devices
+        Local ones among which the starts of every solve are divided.
 
     Raises
     ------
@@ -66,6 +68,7 @@ class FitSettings:
     solver: solving.Solver = "normal-lm"
     tolerance: float | None = None
     max_steps: int = 64
+    devices: int = 1
 
     def harder(self) -> "FitSettings":
         """With three times the points of the design and of the starts, and no retry."""
@@ -92,6 +95,7 @@ class FitSettings:
             ("rows", 8),
             ("stages", 0),
             ("max_steps", 1),
+            ("devices", 1),
         ):
             if getattr(self, name) < least:
                 raise InputError(f"{name} must be {least} or more; received {getattr(self, name)}")

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float, Int
 
+from diffopt import devices
 from diffopt.fitting.reflectance import forward
 from diffopt.fitting.reflectance.maps import Bounds
 from diffopt.fitting.solvers import NormalLevenbergMarquardt
@@ -117,6 +118,42 @@ def solve(
     loss = jax.vmap(lambda like, y: jnp.linalg.norm(residuals(like, y)))(like, y)
     curves = jnp.concatenate([before, curve[None]]).swapaxes(0, 1)
     return Solved(y, loss, steps + last, settled, curves)
+
+
+def solve_on(
+    count: int,
+    job: forward.Job,
+    like: Surface,
+    bounds: Bounds,
+    y: Float[Array, "S P"],
+    blurs: Float[Array, "K N N"] | None,
+    **options: Any,
+) -> Solved:
+    """The same, with the starts divided among devices; each ends when its slowest start has.
+
+    Parameters
+    ----------
+    count
+        Local devices.
+    job, like, bounds, y, blurs, **options
+        As for `solve`.
+
+    Raises
+    ------
+    InputError
+        If there are fewer.
+    """
+    if count == 1:
+        return solve(job, like, bounds, y, blurs, **options)
+    over, starts = devices.some(count), len(y)
+    like, y = devices.filled((like, y), -(-starts // count) * count)
+    given = job, like, bounds, y, blurs, options
+    found = devices.run(_share, given, (None, 0, None, 0, None, None), 0, over)
+    return jax.tree.map(lambda a: a[:starts], found)
+
+
+def _share(job: Any, like: Any, bounds: Any, y: Any, blurs: Any, options: dict[str, Any]) -> Solved:
+    return solve(job, like, bounds, y, blurs, **options)
 
 
 class _Kept(eqx.Module):
