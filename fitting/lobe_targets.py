@@ -69,7 +69,8 @@ def fit_lobes(
     ------
     InputError
         For materials with perfect mirrors (a lobe has a width), directions below the
-        horizon, and values that are negative, not finite or all zero.
+        horizon, and values that are negative, not finite or all zero. For ``"auto"`` also if
+        `COUNTS` ends before the tolerance is met.
     """
     settings = settings or LobeSettings()
     if not isinstance(target, Material):
@@ -102,12 +103,16 @@ def _counted(
     if lobes != "auto":
         return fit_nodes(nodes, lobes, **options)
     checks.tolerance(tolerance)
-    fit = fit_nodes(nodes, COUNTS[0], **options)
-    for count in COUNTS[1:]:
-        if float(fit.error.max()) <= tolerance:
-            break
+    error = 0.0
+    for count in COUNTS:
         fit = fit_nodes(nodes, count, **options)
-    return fit
+        error = float(fit.error.max())
+        if error <= tolerance:
+            return fit
+    raise InputError(
+        f"tolerance {tolerance:g} is not met by {COUNTS[-1]} lobes, the most that 'auto' tries: "
+        f"relative errors up to {error:.3g}; lobes={COUNTS[-1]} gives that fit"
+    )
 
 
 def slices(material: Material, wo: Float[Array, "B 3"], settings: LobeSettings) -> Nodes:

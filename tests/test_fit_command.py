@@ -85,13 +85,15 @@ def test_without_a_folder_nothing_is_written(tmp_path, capsys, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_auto_says_when_a_tolerance_is_missed(capsys, monkeypatch):
+def test_auto_refuses_a_tolerance_that_it_cannot_meet(capsys, monkeypatch):
     from diffopt.fitting import lobe_targets
 
     monkeypatch.setattr(lobe_targets, "COUNTS", (1, 2))
     words = "lambert --lobes auto --tolerance 0.0001 --angle 30 --method em"
-    assert main(["fit", "lobes", *words.split()]) == 0
-    assert "2 lobes are the most that auto tries" in capsys.readouterr().out
+    assert main(["fit", "lobes", *words.split()]) == 2
+    said = capsys.readouterr().err
+    assert "tolerance 0.0001 is not met by 2 lobes, the most that 'auto' tries" in said
+    assert "lobes=2 gives that fit" in said
 
 
 def test_maps_give_back_the_lobes_that_made_them(tmp_path, capsys):

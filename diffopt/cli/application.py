@@ -17,6 +17,7 @@ from diffopt.cli import (
     material,
     plan,
     precompute,
+    promising,
     relight,
     render,
     scene,
@@ -48,6 +49,7 @@ app.command("shadow")(shadow.command)
 app.command("view")(view.command)
 app.command("demo")(demo.command)
 app.command("accuracy")(studying.accuracy)
+app.command("promises")(promising.command)
 app.add_typer(comparing.app, name="compare")
 app.command("bench")(studying.bench)
 app.command("samples")(inspection.samples)

@@ -292,10 +292,6 @@ def _notes(target: "Target", asked: Asked, fit: "LobeFit | None") -> list[str]:
         return notes
     if fit.settings.energy == "restored":
         notes.append("the energy error is that of least squares; it was then restored exactly")
-    if asked.lobes == "auto" and float(np.max(fit.error)) > (asked.tolerance or 0.05):
-        notes.append(
-            f"{fit.lobes.count} lobes are the most that auto tries; the tolerance is not met"
-        )
     if not np.all(fit.settled):
         notes.append(f"not settled: more --rounds than {fit.settings.rounds} go on")
     return notes
