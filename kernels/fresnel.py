@@ -108,16 +108,17 @@ def conductor_polarised(cos: Batch, eta: Value, k: Value) -> tuple[Batch, Batch]
         plane of incidence.
     """
     cos, eta, k = _same_type(cos, eta, k)
-    cos2 = cos * cos
-    real = (eta - 1.0) * (eta + 1.0) - k * k  # m^2 - 1 = real + i imag
-    imag = 2.0 * eta * k
-    a, b, regular = _root(real + cos2, imag)  # g = a + i b
+    cos2, sin2 = cos * cos, (1.0 - cos) * (1.0 + cos)
+    square, imag = (eta - k) * (eta + k), 2.0 * eta * k  # m^2
+    # Of g^2, without cancellation for m near 1, and for m near 0.
+    near = (eta - 1.0) * (eta + 1.0) - k * k + cos2
+    a, b, regular = _root(jnp.where(square < 0.5, square - sin2, near), imag)  # g = a + i b
     # |m^2 - 1| = |m - 1| |m + 1|: no cancellation at any index.
     contrast = ((eta - 1.0) ** 2 + k * k) * ((eta + 1.0) ** 2 + k * k)
     below_s = (cos + a) ** 2 + b * b
     s = contrast / below_s / below_s
-    below_p = ((real + 1.0) * cos + a) ** 2 + (imag * cos + b) ** 2
-    above_p = ((real + 2.0) * cos2 - 1.0) ** 2 + (imag * cos2) ** 2
+    below_p = (square * cos + a) ** 2 + (imag * cos + b) ** 2
+    above_p = (square * cos2 - sin2) ** 2 + (imag * cos2) ** 2
     p = contrast / below_p * above_p / below_p
     # g = 0: the critical angle of a transparent medium, or n = 1 at grazing incidence.
     limit = jnp.where(contrast == 0.0, 0.0, 1.0).astype(s.dtype)

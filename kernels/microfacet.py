@@ -209,10 +209,12 @@ def sample_visible(
     size = jax.lax.rsqrt(sx * sx + sy * sy + sz * sz)
     sx, sy, sz = sx * size, sy * size, sz * size
     if normals == "ggx":
-        cap = 1.0 - u[..., 0] * (1.0 + sz)
-        sin = jnp.sqrt(jnp.maximum((1.0 - cap) * (1.0 + cap), jnp.finfo(cap.dtype).tiny))
+        # The cap's height is 1 - below; its sum with sz without cancellation.
+        below = u[..., 0] * (1.0 + sz)
+        sin = jnp.sqrt(jnp.maximum(below * (2.0 - below), jnp.finfo(below.dtype).tiny))
         along, side = cis_turns(u[..., 1])
-        x, y, z = ax * (sin * along + sx), ay * (sin * side + sy), cap + sz
+        x, y = ax * (sin * along + sx), ay * (sin * side + sy)
+        z = (1.0 - u[..., 0]) * (1.0 + sz)
     elif normals == "beckmann":
         along, side = _visible_slopes(u, sz)
         r2 = sx * sx + sy * sy
