@@ -116,6 +116,9 @@ def member(place: Place) -> "Iterator[Company]":
         traceback.print_exc()
         _end(FAILED)
     company.close()
+    if place.joined or company.index:
+        # At once: threads that wait for the service would be torn down with the interpreter.
+        _end(0)
 
 
 def _end(code: int) -> NoReturn:

@@ -59,8 +59,9 @@ class Company:
         self.leaving: list[Callable[[], None]] = []
         self._ended = False
         self.tell(f"host/{index}", socket.gethostname())
+        self._watching = threading.Thread(target=self._watch, daemon=True)
         if watched and count > 1:
-            threading.Thread(target=self._watch, daemon=True).start()
+            self._watching.start()
 
     def tell(self, name: str, text: str) -> None:
         """Say something that all can hear; once for each name."""
@@ -164,6 +165,8 @@ class Company:
         elif self.count > 1:
             # Answered as soon as no other is there: who loses the service aborts.
             _waiting(lambda: self._client.get_live_nodes(list(range(self.count))))
+            if self._watching.ident is not None:
+                self._watching.join()
         jax.distributed.shutdown()
 
     def _watch(self) -> None:
