@@ -16,7 +16,7 @@ from diffopt.kernels.phase import TWO_PI
 
 
 def log_poisson(m: Array, g: Array) -> Array:
-    """log(exp(-g) g^m / m!) for real m >= 1, without cancellation of large terms."""
+    """log(exp(-g) g^m / m!) for real m >= 1 and g >= 1e-20, without cancellation of large terms."""
     delta = (g - m) / m
     # log(g/m) keeps its digits far below the mean, log1p near it.
     near = jnp.abs(delta) < 0.5

@@ -44,6 +44,17 @@ class Mixture(NamedTuple):
     kappa: Float[Array, "*batch K"]
 
 
+def _shares(weights: Float[Array, " N"]) -> tuple[Float[Array, ""], Float[Array, " N"]]:
+    """Sum of weights, and each over it; no shares without weight.
+
+    The slope of a quotient has the square of what is below: brought to 1 first, by a number that
+    cancels, that of a sum of 1e-30 neither overflows nor vanishes in float32.
+    """
+    total = weights.sum()
+    scaled = weights * jax.lax.stop_gradient(1.0 / jnp.where(total > 0.0, total, 1.0))
+    return total, scaled / jnp.where(total > 0.0, scaled.sum(), 1.0)
+
+
 def mean_direction(
     directions: Float[Array, "N 3"], weights: Float[Array, " N"]
 ) -> tuple[Float[Array, ""], Float[Array, " 3"], Float[Array, ""], Float[Array, ""]]:
@@ -54,16 +65,15 @@ def mean_direction(
     where the directions cancel, the axis is z.
     """
     s = directions.T
-    total = weights.sum()
-    whole = jnp.where(total > 0.0, total, 1.0)
-    mean = (s * weights[None]).sum(-1) / whole
+    total, share = _shares(weights)
+    mean = (s * share[None]).sum(-1)
     square = (mean * mean).sum()
     some = square > float(jnp.finfo(square.dtype).eps) ** 2
     length = jnp.where(some, jnp.sqrt(jnp.where(some, square, 1.0)), 0.0)
     up = jnp.asarray([0.0, 0.0, 1.0], mean.dtype)
     mu = jnp.where(some, mean / jnp.where(some, length, 1.0), up)
     d = s - mean[:, None]
-    spread = ((d[0] ** 2 + d[1] ** 2 + d[2] ** 2) * weights).sum() / whole
+    spread = ((d[0] ** 2 + d[1] ** 2 + d[2] ** 2) * share).sum()
     return total, mu, length, jnp.where(total > 0.0, spread / (1.0 + length), 1.0)
 
 
@@ -111,8 +121,7 @@ def _em_step(
     highest = jax.lax.stop_gradient(each).max(0)
     density = jnp.exp(each - highest[None])
     together = density.sum(0)
-    whole = weights.sum()
-    share_of = jnp.where(whole > 0.0, weights / jnp.where(whole > 0.0, whole, 1.0), 0.0)
+    _, share_of = _shares(weights)
     likelihood = (share_of * (highest + jnp.log(together))).sum()
     owned = density * (share_of / together)[None]
 
@@ -183,9 +192,8 @@ def log_likelihood(
     """Weighted mean log density of a mixture, nats; 0 without weight."""
     t = _distances(directions.T, mixture.mu)
     each = (mixture.log_share + vmf.log_peak(mixture.kappa))[:, None] - mixture.kappa[:, None] * t
-    whole = weights.sum()
-    total = (weights * jax.scipy.special.logsumexp(each, axis=0)).sum()
-    return jnp.where(whole > 0.0, total / jnp.where(whole > 0.0, whole, 1.0), 0.0)
+    _, share = _shares(weights)
+    return (share * jax.scipy.special.logsumexp(each, axis=0)).sum()
 
 
 def scattered_start(
@@ -228,16 +236,16 @@ def split_start(
     two standard deviations either way.
     """
     _, mean, kappa = moments(directions, weights, sharpest)
-    whole = weights.sum()
+    _, share = _shares(weights)
     first, second = frames.tangents(mean)
     across = jnp.stack([directions @ first, directions @ second])
-    covariance = (across * (weights / jnp.where(whole > 0.0, whole, 1.0))[None]) @ across.T
+    covariance = (across * share[None]) @ across.T
     # Half the angle of the principal axis, in closed form; the first if it is round.
     skew, wide = 2.0 * covariance[0, 1], covariance[0, 0] - covariance[1, 1]
     long = (skew != 0.0) | (wide != 0.0)
     twice = jnp.arctan2(jnp.where(long, skew, 0.0), jnp.where(long, wide, 1.0))
     axis = jnp.cos(0.5 * twice) * first + jnp.sin(0.5 * twice) * second
-    square = (axis @ directions.T) ** 2 @ weights / jnp.where(whole > 0.0, whole, 1.0)
+    square = (axis @ directions.T) ** 2 @ share
     # The root is kept off zero, where it has no slope.
     size = jnp.sqrt(jnp.maximum(square, float(jnp.finfo(square.dtype).tiny)))
     steps = jnp.linspace(-2.0, 2.0, lobes, dtype=weights.dtype) if lobes > 1 else jnp.zeros(1)

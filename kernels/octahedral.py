@@ -7,6 +7,7 @@ neither roots nor angles, and areas differ by 3 sqrt 3 at most: an area dA of th
 dA / r^3 steradian, r from 1 at the axes to 1 / sqrt 3 between them.
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -37,8 +38,12 @@ def encode(
         (u, v) in [-1, 1]. They jump at z < 0 where x or y changes sign, from one place of the
         border to another that stands for the same direction.
     """
-    size = jnp.abs(x) + jnp.abs(y) + jnp.abs(z)
+    size = jax.lax.stop_gradient(jnp.abs(x) + jnp.abs(y) + jnp.abs(z))
     some = size > 0.0
+    # Brought to 1 by a number that cancels: the square of a size may vanish.
+    scale = 1.0 / jnp.where(some, size, 1.0)
+    x, y, z = x * scale, y * scale, z * scale
+    size = jnp.abs(x) + jnp.abs(y) + jnp.abs(z)
     shrink = jnp.where(some, 1.0 / jnp.where(some, size, 1.0), 0.0)
     u, v = x * shrink, y * shrink
     below = z < 0.0

@@ -40,8 +40,9 @@ def geometric_factor(
         C, [...]; 1 for a mirror (for ``kirchhoff`` after its weight).
     """
     if name == "stam":
-        # (s2/w)^2 before the division: neither s2^2 nor w^2 underflows at grazing angles.
-        return ((wave * wave).sum(-1) / wave[..., 2]) ** 2 / (4.0 * cos_i * cos_o)
+        # (s2/w)^2 before the division, and one cosine at a time: no square underflows, and no slope
+        # overflows, at grazing angles.
+        return ((wave * wave).sum(-1) / wave[..., 2]) ** 2 / (4.0 * cos_i) / cos_o
     if name in ("ohs", "ghs"):
         return cos_o / cos_i
     if name in ("rohs", "rghs"):

@@ -104,7 +104,10 @@ def desaturate(
     grey = jnp.maximum(luminance, 0.0)[..., None]
     outside = rgb < 0.0
     span = jnp.where(outside, grey - rgb, 1.0)
-    each = jnp.where(outside, grey / span, 1.0)
+    # Either by a number that cancels: the square of a dark span vanishes, its inverse does not.
+    # (A quotient of quotients would be rearranged by the compiler.)
+    size = jax.lax.stop_gradient(1.0 / jnp.where(span > 0.0, span, 1.0))
+    each = jnp.where(outside, (grey * size) / (span * size), 1.0)
     # By pairs: the slope of a minimum over an axis is 0 / 0 where values are rounded anew.
     t = jnp.minimum(jnp.minimum(each[..., :1], each[..., 1:2]), each[..., 2:3])
     t = jnp.where(grey > 0.0, t, 0.0)

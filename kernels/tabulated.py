@@ -29,8 +29,11 @@ def root(x: Value) -> Value:
 
 def angle(y: Value, x: Value) -> Value:
     """Arctangent of y / x over the full circle, 0 with slope 0 at the origin."""
-    some = (x != 0.0) | (y != 0.0)
-    return jnp.where(some, jnp.arctan2(y, jnp.where(some, x, 1.0)), 0.0)
+    size = jax.lax.stop_gradient(jnp.maximum(jnp.abs(x), jnp.abs(y)))
+    some = size > 0.0
+    # Over a size that cancels: slopes divide by the squares.
+    scale = 1.0 / jnp.where(some, size, 1.0)
+    return jnp.where(some, jnp.arctan2(y * scale, jnp.where(some, x * scale, 1.0)), 0.0)
 
 
 def rusinkiewicz(wi: Pair, wo: Pair) -> tuple[Value, Value, Value]:

@@ -49,7 +49,10 @@ def combined(
     together, apart = _squares(mu0, mu1)
     both = _root(_combined_square(together, kappa0, kappa1))
     total = both + kappa0 + kappa1
-    return both, kappa0 * (kappa1 / jnp.where(total > 0.0, total, 1.0)) * apart
+    some = (
+        total > float(jnp.finfo(total.dtype).eps) ** 2
+    )  # below, the rest is less, and counts as 0
+    return both, jnp.where(some, kappa0 * (kappa1 / jnp.where(some, total, 1.0)) * apart, 0.0)
 
 
 def _overlap(mu0: Directions, kappa0: Scalars, mu1: Directions, kappa1: Scalars) -> Array:
