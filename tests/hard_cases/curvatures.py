@@ -257,9 +257,11 @@ def _interfaces():
         ("fresnel.dielectric",),
         "cosine, index",
         lambda x: fresnel.dielectric(x[0], x[1])[None],
-        tuple((c, n) for c in (1e-4, 0.5, 1.0) for n in (1.0 + 2.0**-20, 1.5, 4.0))
-        # Either side of the critical angle, which is at 0.7424.
-        + ((0.2, 0.67), (0.75, 0.67), (0.0, 1.5)),
+        (
+            *((c, n) for c in (1e-4, 0.5, 1.0) for n in (1.0 + 2.0**-20, 1.5, 4.0)),
+            # Either side of the critical angle, which is at 0.7424.
+            *((0.2, 0.67), (0.75, 0.67), (0.0, 1.5)),
+        ),
         lambda c, n: [_unpolarised(c, n)],
         ulps=2e3,
     )
