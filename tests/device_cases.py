@@ -144,7 +144,7 @@ def vertices():
     rng, count = np.random.default_rng(1), 20
 
     def rows(number):
-        mu = rng.normal(size=(number, 3, 3)) + [0.0, 0.0, 2.0]
+        mu = rng.normal(size=(number, 3, 3)) + np.array([0.0, 0.0, 2.0])
         mu /= np.linalg.norm(mu, axis=-1, keepdims=True)
         rest = rng.uniform(0.1, 2.0, size=(number, 3, 2))
         return jnp.asarray(np.concatenate([mu, rest], -1).reshape(number, 15), jnp.float32)
