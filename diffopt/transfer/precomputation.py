@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -318,63 +318,61 @@ class _Run:
             mine = new[label[new] == number]
             step = self.settings.chunk
             parts += [mine[k : k + step] for k in range(0, len(mine), step)]
-        if self.company is None:
-            found = self._computed(parts, range(len(parts)), old)
-        else:
-            found = self._shared(parts, self.company, old)
-        self.found += zip(parts, found, strict=True)
-        self.number += len(parts)
+        done = old
+        for rows, batch in zip(parts, self._computed(parts), strict=True):
+            self.found.append((rows, batch))
+            done += len(rows)
+            if self.report is not None and self.company is None:
+                self.report(Progress(len(self.rounds), done, len(label)))
         seconds = time.perf_counter() - began
         leaves = tessellation.leaves(mesh)
         self.rounds.append(Round(len(label), len(leaves), waiting, seconds))
 
-    def _shared(self, parts: list[np.ndarray], company: Company, old: int) -> list[Vertices]:
-        """A round of which this process computes its share, and reads the rest."""
-        first, batches = self.number, self.batches
+    def _computed(self, parts: list[np.ndarray]) -> Iterator[Vertices]:
+        first = self.number
+        self.number += len(parts)
+        for rows in parts:  # made here: their tables are not made twice by threads
+            self._estimator(int(self.reflector[rows[0]]))
+        if self.company is not None:
+            return self._shared(parts, first, self.company)
+        one = functools.partial(self._batch, parts, first)
+        return workers.ahead(one, range(len(parts)), self.threads)
+
+    def _batch(self, parts: list[np.ndarray], first: int, k: int) -> Vertices:
+        """A batch that was kept, or computed and kept."""
+        rows = parts[k]
+        kept = None if self.batches is None else self.batches.load(first + k)
+        if kept is not None and len(kept.level) == len(rows):
+            return kept
+        at = Frames(self.mesh.vertices[rows], self.axes[rows])
+        batch = self._estimator(int(self.reflector[rows[0]]))(at)
+        if self.batches is not None:
+            self.batches.save(first + k, batch)
+        return batch
+
+    def _shared(self, parts: list[np.ndarray], first: int, company: Company) -> Iterator[Vertices]:
+        """Batches of which this process computes its share, and reads the rest."""
+        batches, step, known = self.batches, len(self.rounds), len(self.axes)
         assert batches is not None
         own = [k for k in range(len(parts)) if (first + k) % company.count == company.index]
-        found = dict(zip(own, self._computed(parts, own, old, company.count), strict=True))
-        company.together(f"round {len(self.rounds)}")
+        one = functools.partial(self._batch, parts, first)
+        found, done = {}, known - sum(len(rows) for rows in parts)
+        for k, batch in zip(own, workers.ahead(one, own, self.threads), strict=True):
+            found[k] = batch
+            # The others are taken to be as far.
+            done = min(done + company.count * len(parts[k]), known)
+            if self.report is not None:
+                self.report(Progress(step, done, known))
+        company.together(f"round {step}")
 
-        def one(k: int) -> Vertices:
+        def seen(k: int) -> Vertices:
             def look() -> Vertices | None:
                 kept = batches.load(first + k)
                 return kept if kept is not None and len(kept.level) == len(parts[k]) else None
 
             return found[k] if k in found else company.seen(f"batch {first + k}", look)
 
-        every = list(workers.ahead(one, range(len(parts)), self.threads))
-        if self.report is not None:
-            self.report(Progress(len(self.rounds), len(self.axes), len(self.axes)))
-        return every
-
-    def _computed(
-        self, parts: list[np.ndarray], which: Sequence[int], old: int, count: int = 1
-    ) -> list[Vertices]:
-        """Some batches of a round; `count` processes are taken to be as far as this one."""
-        first = self.number
-        # Made here, of all parts, as refinement asks for them: threads would make tables twice.
-        for rows in parts:
-            self._estimator(int(self.reflector[rows[0]]))
-
-        def one(k: int) -> Vertices:
-            kept = None if self.batches is None else self.batches.load(first + k)
-            rows = parts[k]
-            if kept is not None and len(kept.level) == len(rows):
-                return kept
-            at = Frames(self.mesh.vertices[rows], self.axes[rows])
-            batch = self._estimator(int(self.reflector[rows[0]]))(at)
-            if self.batches is not None:
-                self.batches.save(first + k, batch)
-            return batch
-
-        found, done, known = [], old, len(self.axes)
-        for k, batch in zip(which, workers.ahead(one, which, self.threads), strict=True):
-            found.append(batch)
-            done = min(done + count * len(parts[k]), known)
-            if self.report is not None:
-                self.report(Progress(len(self.rounds), done, known))
-        return found
+        return workers.ahead(seen, range(len(parts)), self.threads)
 
     def _known(self) -> Known:
         count = len(self.axes)
