@@ -11,6 +11,8 @@ modules of `OPTIMISED`. The pass without 64-bit types is compiled as users' prog
 with ``XLA_FLAGS=`` set, if to nothing, so is the whole suite.
 """
 
+import ctypes
+import gc
 import itertools
 import os
 from pathlib import Path
@@ -91,13 +93,11 @@ def pytest_collection_modifyitems(config, items):
     items[:] = kept
 
 
-# Of 65,530 memory mappings that Linux allows a process by default, a compiled program takes
-# a few: a worker that kept all programs of the suite would crash in the compiler. Eight tests,
-# after which they are counted again, add 5,500 at most.
+# Programs of a module serve few tests of another, and a worker that kept all of them would hold
+# 10 GiB, most of it what the compiler freed. Linux allows a process 65,530 mappings, of which a
+# program takes a few: beyond them the compiler crashes.
+MOST_BYTES = 3 * 2**30
 MOST_MAPPINGS = 40_000
-
-
-tests_run = itertools.count()
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -108,18 +108,27 @@ def _hurried(request):
         jax.config.update("jax_disable_most_optimizations", name not in OPTIMISED)
 
 
+tests_run = itertools.count()
+
+
 @pytest.fixture(autouse=True)
 def _programs_are_few():
     yield
     if next(tests_run) % 8:  # counting mappings takes some 10 ms
         return
     try:
+        with open("/proc/self/statm", "rb") as file:
+            resident = int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
         with open("/proc/self/maps", "rb") as file:
             mappings = sum(1 for _ in file)
     except OSError:  # not Linux
         return
-    if mappings > MOST_MAPPINGS:
+    if mappings > MOST_MAPPINGS or resident > MOST_BYTES:
         jax.clear_caches()
+        gc.collect()
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+        if trim is not None:  # glibc keeps what was freed otherwise
+            trim(0)
 
 
 @pytest.fixture(scope="session")
