@@ -215,14 +215,27 @@ def table():
         if not number % 100:
             jax.clear_caches()
             print(f"{number} of {len(ROWS)}", file=sys.stderr)
-    lines = ["| kernel | rows | value, float32 | slope, float32 | value, float64 |"]
-    lines.append("|---|---|---|---|---|")
+    curved_by = {dtype: curvatures(dtype) for dtype in ("float32", "float64")}
+    lines = [
+        "| kernel | rows | value, float32 | value, float64 | slope, float32 | "
+        "curvature, float32 | curvature, float64 |",
+        "|---|---|---|---|---|---|---|",
+    ]
     for kernel, by in sorted(found.items()):
         single, double = by["float32"], by["float64"]
-        lines.append(
-            f"| `{kernel}` | {single[0]} | {single[1]:.2g} | {single[2]:.2g} | {double[1]:.2g} |"
-        )
+        bends = [f"{of[kernel]:.2g}" if kernel in of else "" for of in curved_by.values()]
+        values = [f"{x:.2g}" for x in (single[1], double[1], single[2])]
+        lines.append(f"| `{kernel}` | {single[0]} | {' | '.join([*values, *bends])} |")
     return lines
+
+
+def curvatures(dtype):
+    """Largest error of the second derivatives of each kernel that has rows of them, ulps."""
+    worst = {}
+    for row in BENT:
+        for kernel, error in bent(row, dtype).items():
+            worst[kernel] = max(worst.get(kernel, 0.0), error)
+    return worst
 
 
 def main(words):
