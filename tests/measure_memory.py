@@ -43,10 +43,15 @@ class Command(NamedTuple):
 
 
 COMMANDS = (
-    Command("info scan.npy --pixel-size 0.02", "info large.npy --pixel-size 0.02", "samples"),
     Command(
-        "diffraction scan.npy --pixel-size 0.02 --coherence 1.25 -o out/scan",
-        "diffraction large.npy --pixel-size 0.02 --coherence 1.25 --size 1619 -o out/large",
+        "info scan.npy --pixel-size 0.02 --height-unit um",
+        "info large.npy --pixel-size 0.02 --height-unit um",
+        "samples",
+    ),
+    Command(
+        "diffraction scan.npy --pixel-size 0.02 --height-unit um --coherence 1.25 -o out/scan",
+        "diffraction large.npy --pixel-size 0.02 --height-unit um --coherence 1.25 --size 1619 "
+        "-o out/large",
         "heights and pixels",
     ),
     Command("diffraction sample:compact_disc -o out/disc", "--size 1619", "pixels"),

@@ -220,9 +220,11 @@ def test_refused_arguments():
 
 
 def test_command_prints_and_writes(tmp_path, capsys):
-    words = ["compare", "diffraction", "sample:sinusoidal_grating", "--pairs", "50"]
+    scan, target = tmp_path / "scan.npy", tmp_path / "out"
+    np.save(scan, np.random.default_rng(3).uniform(0.0, 0.15, (48, 48)))
+    words = ["compare", "diffraction", str(scan), "--pixel-size", "0.1", "--pairs", "50"]
+    words += ["--height-unit", "um"]
     words += ["--coherence", "0.4", "--method", "chebyshev", "--checked", "2", "--budget", "1"]
-    target = tmp_path / "out"
     assert main([*words, "-o", str(target)]) == 0
     out = capsys.readouterr().out
     assert "50 pairs, 81 wavelengths, xyz, tolerance 0.01" in out

@@ -3,7 +3,8 @@
 The error is the RMS error of irradiance over the unshadowed one, of receivers under a sky with a
 lobe 30 degrees wide, against rays. The table holds the largest over scenes (a capsule, a sphere, a
 torus over a plane; the torus that the plane cuts; two objects), as the studies `shadow.*` measure
-it. Narrower light and lamps close by show more of what bands leave out.
+it. Narrower light and lamps close by show more of what bands leave out, and so do other shapes: of
+random ones the promise ``shadows`` found errors of up to 2.4 times the table's.
 """
 
 from typing import NamedTuple

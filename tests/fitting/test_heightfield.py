@@ -169,6 +169,7 @@ def test_what_spreads_lines_starts_from_the_lines(rng):
         assert float(fit.model.get(name)) == pytest.approx(float(true.get(name)), abs=4 * error)
 
 
+@pytest.mark.long
 def test_two_gratings(rng):
     true = Crossed(Sinusoidal(2.1, 0.08, 0.0, 0.3), Sinusoidal(1.6, 0.05, 0.0, 1.5))
     fit = fitting.fit_heightfield(simulated(true, rng), "crossed")
@@ -232,6 +233,7 @@ class TestProfiles:
         np.testing.assert_allclose(found.chi2, [4.0, 1.0, 0.0, 1.0], atol=0.1)
         assert set(found.others) == {"period", "duty", "angle"}
 
+    @pytest.mark.long
     def test_minima_of_a_saw(self, rng):
         # Depths a wavelength's order apart reflect much alike where there is one wavelength.
         true = Blazed(2.0, 0.2, 0.0, 0.4)

@@ -41,6 +41,7 @@ def test_solvers_end_at_one_error_below_that_of_em(found):
         assert min(row.time_s, row.single_s) > 0.0
 
 
+@pytest.mark.long
 def test_time_to_a_rivals_error_is_told(found):
     for rival in ("normal-lm", "scipy-trf"):
         row = found.row(f"em+lm to {rival}", 2)
