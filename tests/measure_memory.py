@@ -115,6 +115,7 @@ def prepare(folder: Path) -> None:
     """Files that the commands read."""
     import shutil
 
+    (folder / "out").mkdir()
     rng = np.random.default_rng(5)
     for name, side in (("scan.npy", 512), ("large.npy", 1619)):
         tracks = 0.06 * (np.arange(side) * 0.02 / 0.74 % 1.0 < 0.4)
