@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffopt import materials
-from diffopt.accuracy.promises import Answer, Draw, Promise, refusal, with_job
+from diffopt.accuracy.promises import Answer, Draw, Promise, refusal
 from diffopt.errors import InputError
 from diffopt.fitting.lobe_targets import fit_lobes
 from diffopt.lobes import Lobes
@@ -108,7 +108,7 @@ def _answer(draw: Draw) -> Answer:
     try:
         fit = fit_lobes(target, "auto", tolerance=draw.tolerance, key=key, **options)
     except InputError as error:
-        return with_job(refusal(error), [words])
+        return refusal(words, error)
     count = fit.lobes.count
     error = _worst(fit.lobes, right)
     price = None

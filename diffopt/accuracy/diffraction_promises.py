@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from diffopt import candidates, choice, colour
-from diffopt.accuracy.promises import Answer, Draw, Promise, refusal, with_job
+from diffopt.accuracy.promises import Answer, Draw, Promise, refusal
 from diffopt.baking import Box
 from diffopt.candidates import METHODS, Candidate, Job
 from diffopt.diffraction import DiffractionBRDF, Output, evaluate
@@ -162,7 +162,7 @@ def _answer(draw: Draw, outputs: tuple[Output, ...]) -> Answer:
             **asked,
         )
     except InputError as error:
-        return with_job(refusal(error), words)
+        return refusal(", ".join(words), error)
     if counted:
         # Relative to the largest value of the job, of which these pairs are a part.
         more = choice.sample_pairs(256)
@@ -188,7 +188,7 @@ def _answer(draw: Draw, outputs: tuple[Output, ...]) -> Answer:
         chosen = prepared.choice.setup_s + prepared.choice.run_s
         least = _least(job, chosen, lambda s: _error(job, s, asked, right) <= draw.tolerance)
         price = chosen / least
-    return with_job(Answer("", error, price=price), words)
+    return Answer(", ".join(words), error, price=price)
 
 
 def _direct(brdf, wi, wo, lam, output, weights) -> np.ndarray:

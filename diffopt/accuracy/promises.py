@@ -9,19 +9,18 @@ job may be refused, with a message; what is not refused must keep to its toleran
 0
 """
 
-import dataclasses
 import gc
 import math
 import os
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
+from diffopt.accuracy import registry
 from diffopt.accuracy.keeping import Rows
 from diffopt.errors import InputError
 
@@ -319,17 +318,9 @@ def promise(name: str) -> Promise:
     InputError
         If there is none; the message lists those in `NAMES`.
     """
-    if name not in NAMES:
-        raise InputError(f"no promise {name!r}; expected one of {', '.join(sorted(NAMES))}")
-    module, attribute = NAMES[name].split(":")
-    return getattr(import_module(module), attribute)
+    return registry.named("promise", NAMES, name)
 
 
-def refusal(error: InputError) -> Answer:
+def refusal(job: str, error: InputError) -> Answer:
     """The answer of a job that was refused."""
-    return Answer(job="", error=None, refused=str(error))
-
-
-def with_job(answer: Answer, words: Iterable[str]) -> Answer:
-    """An answer with its job told in words."""
-    return dataclasses.replace(answer, job=", ".join(words))
+    return Answer(job, error=None, refused=str(error))

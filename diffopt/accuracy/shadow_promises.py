@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from diffopt import shadows
 from diffopt.accuracy import shadow_scenes
-from diffopt.accuracy.promises import Answer, Draw, Promise, refusal, with_job
+from diffopt.accuracy.promises import Answer, Draw, Promise, refusal
 from diffopt.errors import InputError
 from diffopt.shadows import ShadowSettings, choosing, truth
 
@@ -126,13 +126,6 @@ def error_of(made: Scene, expected: Float[np.ndarray, " N"], settings: ShadowSet
     return float(np.sqrt((off * off).mean()))
 
 
-def of_choice(choice: choosing.Choice) -> ShadowSettings:
-    """The settings of a line of the table."""
-    return ShadowSettings(
-        bands=choice.bands, shells=choice.shells, directions=choice.directions, rays=choice.rays
-    )
-
-
 def _answer(draw: Draw) -> Answer:
     made = scene(draw.rng)
     count = len(made.meshes)
@@ -141,7 +134,7 @@ def _answer(draw: Draw) -> Answer:
             draw.tolerance, receivers_inside=made.inside, occluders=count
         )
     except InputError as error:
-        return with_job(refusal(error), [made.words])
+        return refusal(made.words, error)
     expected = right(made)
     error = error_of(made, expected, settings)
     price = None
@@ -149,11 +142,11 @@ def _answer(draw: Draw) -> Answer:
         chosen = _work(settings)
         price = 1.0
         for choice in choosing.CHOICES:
-            cheaper = of_choice(choice)
+            cheaper = choice.settings
             if _work(cheaper) < chosen and error_of(made, expected, cheaper) <= draw.tolerance:
                 price = max(price, chosen / _work(cheaper))
     words = [made.words, *(f"{k}={v}" for k, v in _shown(settings).items())]
-    return with_job(Answer("", error, DOUBT, price=price), words)
+    return Answer(", ".join(words), error, DOUBT, price=price)
 
 
 def _work(settings: ShadowSettings) -> float:
@@ -177,16 +170,14 @@ def survey(scenes: int, seed: int = 1) -> list[choosing.Choice]:
     rng = np.random.default_rng([seed, scenes])
     while found.min() < scenes:
         made = scene(rng)
-        # Several objects close to the plane count for both.
-        kinds = [1] if made.inside else [0]
-        kinds = [2] if len(made.meshes) > 1 and not made.inside else kinds
-        if found[kinds[0]] >= scenes:
+        kind = 1 if made.inside else 2 if len(made.meshes) > 1 else 0
+        if found[kind] >= scenes:
             continue
-        found[kinds] += 1
+        found[kind] += 1
         expected = right(made)
         for k, choice in enumerate(choosing.CHOICES):
-            error = error_of(made, expected, of_choice(choice))
-            errors[k, kinds] = np.maximum(errors[k, kinds], error)
+            error = error_of(made, expected, choice.settings)
+            errors[k, kind] = max(errors[k, kind], error)
     return [
         choice._replace(outside=float(a), inside=float(b), several=float(c))
         for choice, (a, b, c) in zip(choosing.CHOICES, errors, strict=True)

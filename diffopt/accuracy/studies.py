@@ -12,13 +12,12 @@ toolkit registers a study in `NAMES`.
 import os
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any
 
 import jax
 import numpy as np
 
-from diffopt.accuracy import output
+from diffopt.accuracy import output, registry
 from diffopt.accuracy.keeping import Rows
 from diffopt.accuracy.measurement import compile_ahead, measure
 from diffopt.errors import InputError
@@ -365,7 +364,4 @@ def study(name: str) -> Study:
     InputError
         If there is none; the message lists those in `NAMES`.
     """
-    if name not in NAMES:
-        raise InputError(f"no study {name!r}; expected one of {', '.join(sorted(NAMES))}")
-    module, attribute = NAMES[name].split(":")
-    return getattr(import_module(module), attribute)
+    return registry.named("study", NAMES, name)

@@ -36,6 +36,13 @@ class Choice(NamedTuple):
     inside: float
     several: float
 
+    @property
+    def settings(self) -> ShadowSettings:
+        """What it stands for; all else by default."""
+        return ShadowSettings(
+            bands=self.bands, shells=self.shells, directions=self.directions, rays=self.rays
+        )
+
 
 #: From cheap to dear: rays and coefficients of a frame grow from line to line.
 CHOICES = (
@@ -85,12 +92,7 @@ def settings_for(
     errors = [_error(choice, receivers_inside, occluders > 1) for choice in CHOICES]
     for choice, error in zip(CHOICES, errors, strict=True):
         if error <= tolerance:
-            return ShadowSettings(
-                bands=choice.bands,
-                shells=choice.shells,
-                directions=choice.directions,
-                rays=choice.rays,
-            )
+            return choice.settings
     where = "within the bounding sphere" if receivers_inside else "outside the bounding sphere"
     raise InputError(
         f"tolerance {tolerance:g} is met by no settings of shadow fields for receivers {where}: "
