@@ -1,6 +1,6 @@
 """Damaged and malicious files: one line of refusal, bounded memory and time, nothing else.
 
-The child process, the damage and the seeds are in `fuzzing`, `fuzz_readers` and `fuzz_crafted`.
+The child process, the damage and the seeds are in `fuzzing`.
 """
 
 import os
@@ -9,12 +9,20 @@ import warnings
 import zlib
 from pathlib import Path
 
-import fuzz_crafted
-import fuzz_readers
-import fuzzing
 import numpy as np
 import pytest
-from fuzz_readers import READERS
+from fuzzing.attempts import MEMORY, attempt
+from fuzzing.cases import Case, case, lay
+from fuzzing.crafted import CRAFTED
+from fuzzing.crafted.base import npz_bomb
+from fuzzing.crafted.stores import changed
+from fuzzing.parent import Child, scratch
+from fuzzing.readers import READERS
+from fuzzing.readers.assets import solid
+from fuzzing.readers.base import BARE, single
+from fuzzing.readers.heights import load_heights
+from fuzzing.readers.materials import load_measured
+from fuzzing.watch import Watch
 
 from diffopt import stores
 from diffopt.errors import InputError
@@ -29,8 +37,8 @@ BALL = '[[objects]]\nshape = "sphere"\nmaterial = "lambert"\n'
 def child():
     if not Path("/proc/self/status").exists():
         pytest.skip("limits on memory are read from /proc")
-    with fuzzing.scratch() as folder:
-        worker = fuzzing.Child(Path(folder))
+    with scratch() as folder:
+        worker = Child(Path(folder))
         yield worker
         worker.close()
 
@@ -54,12 +62,12 @@ def test_files_that_are_made_to_harm_are_refused(child, name):
 
 
 def test_every_reader_of_files_is_among_them():
-    assert set(fuzz_crafted.CRAFTED) == set(READERS)
+    assert set(CRAFTED) == set(READERS)
 
 
 @pytest.fixture(scope="module")
 def watch():
-    found = fuzzing.Watch()
+    found = Watch()
     yield found
     found.close()
 
@@ -68,8 +76,8 @@ class TestTheWatch:
     """What the child is to see, it sees."""
 
     def seen(self, watch, tmp_path, load, **more):
-        found = fuzzing.Case("", fuzz_readers.single("a", b"a"), **more)
-        return fuzzing.attempt(watch, load, tmp_path, found)["faults"]
+        found = Case("", single("a", b"a"), **more)
+        return attempt(watch, load, tmp_path, found)["faults"]
 
     def test_other_exceptions(self, watch, tmp_path):
         def load(path):
@@ -99,7 +107,7 @@ class TestTheWatch:
         assert any("limit on memory" in fault for fault in self.seen(watch, tmp_path, load))
 
     def test_memory(self, watch, tmp_path):
-        faults = self.seen(watch, tmp_path, lambda path: np.ones(fuzzing.MEMORY // 4).sum())
+        faults = self.seen(watch, tmp_path, lambda path: np.ones(MEMORY // 4).sum())
         assert any("MiB of memory" in fault for fault in faults)
 
     def test_writing_removing_unpickling_and_starting(self, watch, tmp_path):
@@ -128,9 +136,9 @@ class TestTheWatch:
 def test_the_same_number_is_the_same_file():
     seeds = READERS["lobes"].seeds()
     for number in (0, 7, 8):
-        one, other = (fuzzing.case("lobes", seeds, number) for _ in range(2))
+        one, other = (case("lobes", seeds, number) for _ in range(2))
         assert one == other
-    assert fuzzing.case("lobes", seeds, 7) != fuzzing.case("lobes", seeds, 9)
+    assert case("lobes", seeds, 7) != case("lobes", seeds, 9)
 
 
 class TestArrays:
@@ -172,7 +180,7 @@ class TestArrays:
             numpy_files.archive(tmp_path / "a.npz")
 
     def test_bombs_are_refused_for_what_they_claim(self, tmp_path):
-        (tmp_path / "a.npz").write_bytes(fuzz_crafted.npz_bomb(3000))
+        (tmp_path / "a.npz").write_bytes(npz_bomb(3000))
         with pytest.raises(InputError, match=r"the archive claims 3.146e\+09 bytes; expected at"):
             numpy_files.archive(tmp_path / "a.npz")
 
@@ -201,7 +209,7 @@ class TestScenes:
 
     def test_files_beside_it_are_not_worth_a_word(self, tmp_path):
         (tmp_path / "parts").mkdir()
-        (tmp_path / "parts" / "box.ply").write_bytes(fuzz_readers.solid("ply"))
+        (tmp_path / "parts" / "box.ply").write_bytes(solid("ply"))
         assert not any("outside" in note for note in self.scene(tmp_path, "parts/box.ply").notes)
         assert not any(
             "outside" in note for note in self.scene(tmp_path, "parts/../parts/box.ply").notes
@@ -213,7 +221,7 @@ class TestScenes:
         folder = tmp_path / "scene"
         folder.mkdir()
         box = tmp_path / "box.ply"
-        box.write_bytes(fuzz_readers.solid("ply"))
+        box.write_bytes(solid("ply"))
         (folder / "link.ply").symlink_to(box)
         for name in ("../box.ply", str(box), "link.ply"):
             notes = self.scene(folder, name).notes
@@ -225,7 +233,7 @@ class TestScenes:
     def test_a_mesh_names_only_what_is_beside_it(self, tmp_path):
         inside = tmp_path / "inside"
         inside.mkdir()
-        files = fuzz_readers.solid("gltf")
+        files = solid("gltf")
         name = next(word for word in files if word.endswith(".gltf"))
         buffer = next(word for word in files if word.endswith(".bin"))
         for word, content in files.items():
@@ -266,7 +274,7 @@ class TestStores:
     def test_a_table_that_begins_at_zero_comes_back(self, tmp_path):
         """Chunks of zeros were not written, and their want taken for damage."""
         seed = READERS["stores: tables"].seeds()["table"]
-        found = stores.load_table(fuzzing.lay(tmp_path, seed))
+        found = stores.load_table(lay(tmp_path, seed))
         np.testing.assert_array_equal(np.asarray(found.table.first), np.zeros(3))
 
     @pytest.mark.parametrize(
@@ -281,9 +289,9 @@ class TestStores:
             if value is None:
                 del tree["attributes"][key]
 
-        changed = fuzz_crafted.changed(seed, "a.zarr/zarr.json", change)
+        other = changed(seed, "a.zarr/zarr.json", change)
         with pytest.raises(InputError, match=rf"{key}.*bake the table again"):
-            stores.load_table(fuzzing.lay(tmp_path, changed))
+            stores.load_table(lay(tmp_path, other))
 
 
 def test_small_triangles_beside_large_ones_have_normals():
@@ -305,14 +313,13 @@ def test_numbers_without_end_take_no_time(tmp_path):
     names = "theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg," + "1" * 60_000 + "\n"
     (tmp_path / "a.csv").write_text("# coherence: 2 um\n" + names + "1,2,3,4,5\n")
     with pytest.raises(InputError, match=r"a\.csv: column '1111"):
-        fuzz_readers.load_measured(tmp_path / "a.csv")
+        load_measured(tmp_path / "a.csv")
 
 
 def test_lines_without_end_take_no_time(tmp_path):
     """Patterns that matched in many ways took the square of a line's length."""
-    bare = fuzz_readers.BARE
     (tmp_path / "a.txt").write_text("# Width: " + "1" * 60_000 + " x x\n1 2\n3 4\n")
-    assert fuzz_readers.load_heights(tmp_path / "a.txt", **bare).shape == (2, 2)
+    assert load_heights(tmp_path / "a.txt", **BARE).shape == (2, 2)
 
 
 @pytest.mark.parametrize("text", ['{"lobes": ' + "[" * 100_000, '{"lobes": 1e999}', "[]", "1"])
