@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from diffopt import checks
 from diffopt.accuracy import transfer_runs, transfer_scenes, transfer_truth
 from diffopt.kernels.langevin import inverse_langevin
-from diffopt.transfer import path_sampling, precomputation, slices, tracing, weighting
+from diffopt.transfer import beginning, path_sampling, slices, tracing, weighting
 from diffopt.transfer.angular import Estimator
 from diffopt.transfer.settings import TransferSettings
 from diffopt.transfer.tracing import Frames, Surroundings
@@ -116,9 +116,9 @@ class _Solved(NamedTuple):
 @functools.lru_cache(maxsize=4)
 def _solved(problem: Problem) -> _Solved:
     scene = transfer_scenes.subject(problem.scene, problem.detail).scene
-    around = precomputation.surroundings(scene)
-    mesh = precomputation.begun(around)
-    axes = precomputation.frames(mesh)
+    around = beginning.surroundings(scene)
+    mesh = beginning.begun(around)
+    axes = beginning.frames(mesh)
     number = int(around.owner[0])
     own = np.unique(mesh.faces[mesh.label == number])
     some = own[np.unique(np.linspace(0, len(own) - 1, min(_AMONG, len(own))).astype(int))]

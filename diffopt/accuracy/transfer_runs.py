@@ -20,9 +20,9 @@ from diffopt.errors import InputError
 from diffopt.scenes.channels import Channels
 from diffopt.transfer import between, precomputation
 from diffopt.transfer.lighting import Lighting, prepare
-from diffopt.transfer.precomputation import Transfer
 from diffopt.transfer.raster import Raster, Seen
 from diffopt.transfer.relighting import Tables
+from diffopt.transfer.result import Transfer
 from diffopt.transfer.settings import TransferSettings
 
 

@@ -13,7 +13,8 @@ from diffopt.errors import InputError
 if TYPE_CHECKING:
     from diffopt.scenes import Scene, SceneFile
     from diffopt.transfer.compression import CompressionSettings
-    from diffopt.transfer.precomputation import Progress, Transfer
+    from diffopt.transfer.precomputation import Progress
+    from diffopt.transfer.result import Transfer
     from diffopt.transfer.settings import TransferSettings
     from diffopt.transfer.working import Working
 
@@ -83,8 +84,8 @@ def checked(
     """
     from diffopt.cli.errors import user_input
     from diffopt.transfer import store
+    from diffopt.transfer.beginning import begun, surroundings
     from diffopt.transfer.compression import CompressionSettings
-    from diffopt.transfer.precomputation import begun, surroundings
     from diffopt.transfer.working import identity
 
     settings = _settings(words)

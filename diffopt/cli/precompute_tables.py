@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from diffopt.materials.base import Material
     from diffopt.scenes import SceneFile
-    from diffopt.transfer.precomputation import Transfer
+    from diffopt.transfer.result import Transfer
 
 # The paper computed on 8 cores at 3 GHz.
 _CORES = 8

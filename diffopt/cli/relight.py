@@ -12,7 +12,7 @@ from diffopt.errors import InputError
 if TYPE_CHECKING:
     from diffopt.cli.relight_output import Session
     from diffopt.scenes import Scene, SceneFile
-    from diffopt.transfer.precomputation import Transfer
+    from diffopt.transfer.result import Transfer
 
 #: Exit code of an animation that was interrupted.
 INTERRUPTED = 130

@@ -15,7 +15,7 @@ from diffopt.errors import InputError
 if TYPE_CHECKING:
     from diffopt.scenes import Camera, Scene
     from diffopt.transfer.pictures import Compared
-    from diffopt.transfer.precomputation import Transfer
+    from diffopt.transfer.result import Transfer
 
 # Frames that a rate is the median of, and degrees between two of them.
 _TIMED, _STEP = 5, 11.0

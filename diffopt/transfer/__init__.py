@@ -6,7 +6,8 @@ are needed (after the glossy-transfer paper). Light averaged over the lobes make
 
 ================  ==========================================================
 `settings`        how it is precomputed
-`precomputation`  vertices, their slices, and where more are needed
+`precomputation`  vertices, their slices, and where more are needed: `result`
+`beginning`       the scene as transfer sees it, its triangles, their frames
 `reflectors`      materials as transfer takes them
 `views`           nested viewing directions
 `weighting`       of rays by the material; `tracing`: what rays bring
@@ -41,12 +42,12 @@ from diffopt.transfer.layers import LAYERS as LAYERS
 from diffopt.transfer.layers import layer as layer
 from diffopt.transfer.lighting import HarmonicSettings as HarmonicSettings
 from diffopt.transfer.lighting import prepare as prepare
-from diffopt.transfer.precomputation import Transfer as Transfer
 from diffopt.transfer.precomputation import precompute as precompute
 from diffopt.transfer.pyramid import PyramidSettings as PyramidSettings
 from diffopt.transfer.raster import Raster as Raster
 from diffopt.transfer.relighting import Tables as Tables
 from diffopt.transfer.relighting import tables as tables
+from diffopt.transfer.result import Transfer as Transfer
 from diffopt.transfer.settings import TransferSettings as TransferSettings
 from diffopt.transfer.store import load as load
 from diffopt.transfer.store import save as save

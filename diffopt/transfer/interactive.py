@@ -16,8 +16,8 @@ from diffopt.scenes.camera import Camera
 from diffopt.scenes.scene import Scene
 from diffopt.transfer import between, infinity, lighting, relighting
 from diffopt.transfer.backgrounds import Background
-from diffopt.transfer.precomputation import Transfer
 from diffopt.transfer.raster import Raster
+from diffopt.transfer.result import Transfer
 
 
 class Relit:

@@ -13,9 +13,10 @@ from jaxtyping import Float, Int
 
 from diffopt.errors import InputError
 from diffopt.transfer import compression, quantisation, zarrays
+from diffopt.transfer.beginning import frames
 from diffopt.transfer.compression import CompressionError, CompressionSettings, Packed
-from diffopt.transfer.precomputation import Round, Transfer, frames
 from diffopt.transfer.quantisation import Over, host
+from diffopt.transfer.result import Round, Transfer
 from diffopt.transfer.settings import TransferSettings
 from diffopt.transfer.slices import Slices
 from diffopt.transfer.tessellation import Tessellation

@@ -69,7 +69,7 @@ class PathSampler:
     Parameters
     ----------
     around
-        The scene, see `diffopt.transfer.precomputation.surroundings`.
+        The scene, see `diffopt.transfer.beginning.surroundings`.
     number
         Which of its reflectors the vertices have; it must have a glossy rest.
     weights

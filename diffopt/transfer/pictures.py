@@ -15,8 +15,8 @@ from diffopt.errors import InputError
 from diffopt.scenes.camera import Camera
 from diffopt.scenes.primary import PrimaryCaster
 from diffopt.transfer import tessellation
-from diffopt.transfer.precomputation import Transfer
 from diffopt.transfer.raster import Raster
+from diffopt.transfer.result import Transfer
 from diffopt.transfer.views import hemisphere
 
 if TYPE_CHECKING:

@@ -2,32 +2,26 @@
 
 import dataclasses
 import functools
-import math
 import time
 from collections.abc import Callable, Iterator
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from diffopt import workers
 from diffopt.errors import InputError
-from diffopt.scenes import raycasting
 from diffopt.scenes.scene import Scene
 from diffopt.transfer import tessellation
 from diffopt.transfer.angular import Estimator, Vertices
+from diffopt.transfer.beginning import begun, frames, surroundings
 from diffopt.transfer.distributed import Company
 from diffopt.transfer.refinement import Measure, Refinement
-from diffopt.transfer.reflectors import reflectors
+from diffopt.transfer.result import Round, Transfer
 from diffopt.transfer.settings import TransferSettings
 from diffopt.transfer.slices import Slices
 from diffopt.transfer.spatial import Known
-from diffopt.transfer.tessellation import Tessellation
-from diffopt.transfer.tracing import Frames, Surroundings
+from diffopt.transfer.tracing import Frames
 from diffopt.transfer.views import hemisphere
-
-# What counts as the median side at most, over the radius of the scene.
-_USUAL = 1.0 / 64.0
 
 
 @runtime_checkable
@@ -44,165 +38,12 @@ class Batches(Protocol):
 
 
 @dataclasses.dataclass(frozen=True)
-class Round:
-    """A step of refinement.
-
-    Attributes
-    ----------
-    vertices
-        After it.
-    faces
-        Leaves after it.
-    waiting
-        Faces whose corners differ by more than the tolerance, when it began; 0 for the first.
-    seconds
-        It took.
-    """
-
-    vertices: int
-    faces: int
-    waiting: int
-    seconds: float
-
-
-@dataclasses.dataclass(frozen=True)
 class Progress:
     """How far a precomputation is: rounds begun, vertices done, vertices known to be needed."""
 
     round: int
     done: int
     known: int
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Transfer:
-    """Precomputed transfer of a scene.
-
-    Attributes
-    ----------
-    mesh
-        With all that was split.
-    axes
-        Local frames of the vertices as rows (tangent, across, normal), [V, 3, 3].
-    reflector
-        Number of the material of each vertex, [V].
-    level
-        Of the views of each vertex, -1 where the material is matte, [V].
-    first
-        Row of the first view of each vertex, [V].
-    views
-        Slices of all views of all vertices over those of the unoccluded material, see
-        `diffopt.transfer.references`, [S, 3, K, ...].
-    diffuse
-        Slices of the view-independent share, in the local frames, [V, 3, K, ...].
-    unoccluded
-        Unoccluded lobes of the materials over views, as `diffopt.transfer.references.pack` has
-        them, [materials, V', K (4 + C)].
-    error
-        How far the last level of views computed was from its prediction, [V].
-    settings
-        Used.
-    rounds
-        Of refinement.
-    """
-
-    mesh: Tessellation
-    axes: Float[np.ndarray, "V 3 3"]
-    reflector: Int[np.ndarray, " V"]
-    level: Int[np.ndarray, " V"]
-    first: Int[np.ndarray, " V"]
-    views: Slices
-    diffuse: Slices
-    unoccluded: Float[np.ndarray, "m v F"]
-    error: Float[np.ndarray, " V"]
-    settings: TransferSettings
-    rounds: tuple[Round, ...]
-
-    @property
-    def lobes(self) -> int:
-        """Lobes of each kind of path, K."""
-        return self.diffuse.kappa.shape[-1]
-
-    @property
-    def channels(self) -> int:
-        """Channels, C: 1 for a grey scene."""
-        return self.diffuse.alpha.shape[-1]
-
-    @functools.cached_property
-    def triangles(self) -> Int[np.ndarray, "G 3"]:
-        """Triangles without T-vertices, to be drawn."""
-        return tessellation.closed(self.mesh)[0]
-
-    @property
-    def slices(self) -> int:
-        """Number of slices, view-independent ones too."""
-        return len(self.views.kappa) + len(self.diffuse.kappa)
-
-
-def surroundings(scene: Scene, backend: str = "embree") -> Surroundings:
-    """A scene as transfer sees it."""
-    if not scene.objects:
-        raise InputError("the scene has no objects")
-    geometry = scene.geometry
-    found, number = reflectors(scene)
-    return Surroundings(raycasting.caster(geometry, backend), found, number[geometry.owner])
-
-
-def begun(around: Surroundings, longest: float = math.inf) -> Tessellation:
-    """The triangles of a scene, labelled by their reflectors.
-
-    Those with a side longer than so many median sides (of a 64th of the scene's radius at most)
-    are halved until there are none: the corners of a wide floor see nothing of what stands in
-    its middle.
-    """
-    shapes = around.caster.geometry.world
-    triangles, spheres, discs = shapes.counts
-    if spheres + discs:
-        raise InputError(
-            f"transfer takes triangles; the scene has {spheres} spheres and {discs} discs: use "
-            "meshes in their place, as diffopt.scenes.models makes them"
-        )
-    radius = around.caster.geometry.radius if math.isfinite(longest) else math.inf
-    mesh = tessellation.begin(
-        np.asarray(shapes.vertices),
-        np.asarray(shapes.normals),
-        np.asarray(shapes.tangents),
-        np.asarray(shapes.faces),
-        around.owner[:triangles],
-    )
-    sides = _sides(mesh, np.arange(len(mesh.faces)))
-    usual = float(np.median(sides)) if len(sides) else 0.0
-    limit = longest * min(usual, _USUAL * radius)
-    while len(wide := _longer(mesh, limit)):
-        mesh = tessellation.split(mesh, wide)
-    if len(mesh.faces) == len(tessellation.leaves(mesh)):
-        return mesh
-    faces, origin = tessellation.closed(mesh)
-    return tessellation.begin(mesh.vertices, mesh.normals, mesh.tangents, faces, mesh.label[origin])
-
-
-def _longer(mesh: Tessellation, limit: float) -> np.ndarray:
-    """Leaves with a side longer than a limit."""
-    leaves = tessellation.leaves(mesh)
-    return leaves[(_sides(mesh, leaves) > limit).any(-1)]
-
-
-def _sides(mesh: Tessellation, faces: np.ndarray) -> Float[np.ndarray, "n 3"]:
-    corners = mesh.vertices[mesh.faces[faces]]
-    return np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)
-
-
-def frames(mesh: Tessellation) -> Float[np.ndarray, "V 3 3"]:
-    """Local frames of vertices: tangents square to the normals, any where there are none."""
-    normal = mesh.normals
-    flat = mesh.tangents - (mesh.tangents * normal).sum(-1, keepdims=True) * normal
-    length = np.linalg.norm(flat, axis=-1, keepdims=True)
-    weak = length < 1e-3 * np.maximum(np.linalg.norm(mesh.tangents, axis=-1, keepdims=True), 1e-30)
-    least = np.eye(3)[np.argmin(np.abs(normal), -1)]
-    other = np.cross(normal, least)
-    other /= np.linalg.norm(other, axis=-1, keepdims=True)
-    tangent = np.where(weak, other, flat / np.where(weak, 1.0, length))
-    return np.stack([tangent, np.cross(normal, tangent), normal], 1)
 
 
 def precompute(

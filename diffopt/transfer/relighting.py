@@ -20,8 +20,8 @@ from jaxtyping import Array, Float, Int
 from diffopt.kernels import frames
 from diffopt.transfer import fields, references
 from diffopt.transfer.fields import Fields, unpacked
-from diffopt.transfer.precomputation import Transfer
 from diffopt.transfer.references import Axis, Reference
+from diffopt.transfer.result import Transfer
 from diffopt.transfer.slices import Slices
 from diffopt.transfer.views import Locator, locator
 

@@ -18,7 +18,7 @@ from diffopt.io.files import aside, one_line, remove, replaced, settle, standing
 from diffopt.locking import Lock
 from diffopt.transfer import packing, zarrays
 from diffopt.transfer.compression import CompressionSettings
-from diffopt.transfer.precomputation import Transfer
+from diffopt.transfer.result import Transfer
 from diffopt.transfer.settings import KINDS
 from diffopt.transfer.working import FOLDER, Working, discard
 

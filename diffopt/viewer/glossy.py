@@ -18,18 +18,18 @@ from diffopt.scenes.primary import PrimaryCaster, rays
 from diffopt.scenes.scene import Scene
 from diffopt.transfer import (
     angular,
+    beginning,
     between,
     infinity,
     layers,
     lighting,
-    precomputation,
     references,
     relighting,
 )
 from diffopt.transfer.backgrounds import Background
 from diffopt.transfer.distant import Lights, Suns
-from diffopt.transfer.precomputation import Transfer
 from diffopt.transfer.relighting import Tables
+from diffopt.transfer.result import Transfer
 from diffopt.transfer.settings import KINDS
 from diffopt.viewer import controls, exponents, painting
 from diffopt.viewer.controls import Control, Slider, Steps, Toggle, Values
@@ -157,7 +157,7 @@ class Glossy:
     def _sharper(self, tables: Tables, wanted: float) -> Tables:
         """Tables over the unoccluded lobes of another exponent."""
         settings = self.transfer.settings
-        around = precomputation.surroundings(exponents.replaced(self.scene, wanted))
+        around = beginning.surroundings(exponents.replaced(self.scene, wanted))
         rows = [
             angular.Estimator(around, k, settings).reference for k in range(len(around.reflectors))
         ]
