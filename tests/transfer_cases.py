@@ -6,7 +6,7 @@ import diffopt as do
 from diffopt.scenes import meshfiles
 from diffopt.scenes.shapes import Plane
 from diffopt.scenes.transforms import facing, translate
-from diffopt.transfer import precomputation, reflectors
+from diffopt.transfer import beginning, reflectors
 from diffopt.transfer.tracing import Frames
 
 LAMBERT = do.materials.Lambert
@@ -51,7 +51,7 @@ def looking(*directions, at=None):
 
 
 def surroundings(objects, backend="embree"):
-    return precomputation.surroundings(do.Scene(objects), backend)
+    return beginning.surroundings(do.Scene(objects), backend)
 
 
 def hemisphere_rule(nodes=200, turns=400):
