@@ -86,6 +86,7 @@ def _rows(cases):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_page_is_whole(made):
     text = (made / "index.html").read_text(encoding="utf-8")
     found = checked(text)
@@ -100,6 +101,7 @@ def test_the_page_is_whole(made):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_tables_sort_and_nothing_is_asked_of_the_network(made):
     with browsing.browser() as found:
         for size in ((1200, 900), (390, 800)):

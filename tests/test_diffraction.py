@@ -295,6 +295,7 @@ def test_gaussian_roughness_is_the_mean_over_surfaces(rms):
     np.testing.assert_allclose(got, expected, atol=0.1)
 
 
+@pytest.mark.long
 def test_random_bumps_are_the_mean_over_surfaces():
     """Stam's closed form against sparse bumps placed at random on a periodic patch."""
     height, sigma, density = 0.1, (0.35, 0.2), 0.25

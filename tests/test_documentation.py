@@ -1,17 +1,24 @@
-"""README and pages: every block runs, every link leads somewhere, the site builds and is whole."""
+"""README and pages: every block runs, every link leads somewhere, the site builds and is whole.
+
+By day the blocks of README run and those of all other pages are parsed; by night all run.
+"""
 
 import functools
+import json
 import os
 import re
+import shlex
 import subprocess
 import sys
+import tomllib
 from html.parser import HTMLParser
 from pathlib import Path
 
 import doc_blocks
 import doc_commands
 import pytest
-from doc_blocks import ROOT, agrees, blocks, pages, said
+from doc_blocks import ROOT, agrees, blocks, commands, pages, said
+from lengths import but
 
 from diffopt.accuracy import studies
 
@@ -56,9 +63,37 @@ def test_blocks_are_of_known_kinds(page):
         assert block.text.strip(), f"{block.place}: empty"
 
 
+def parsed(block):
+    """Read a block as it is read before it is run."""
+    try:
+        _parsed(block)
+    except Exception as error:
+        raise AssertionError(f"{block.place}: {error}") from error
+
+
+def _parsed(block):
+    if block.kind == "python":
+        compile(block.text, str(block.page), "exec")
+    for line in commands(block) if block.kind == "console" else ():
+        words = shlex.split(line)
+        if words[0] == "diffopt":
+            doc_commands.parse(words[1:])
+        else:
+            doc_commands.check_other(line, words)
+    if block.kind in ("toml", "json"):
+        {"toml": tomllib, "json": json}[block.kind].loads(block.text)
+
+
+@pytest.mark.parametrize("page", WITH_BLOCKS, ids=name)
+def test_blocks_are_parsed(page):
+    for block in blocks(page):
+        parsed(block)
+
+
 # Pages that call for the same programs share a process; the rest stand under "others".
 TOGETHER = {
-    "README": ("README.md", "docs/planning.md", "docs/diffraction.md", "docs/formats.md"),
+    "README": ("README.md",),
+    "diffraction": ("docs/planning.md", "docs/diffraction.md", "docs/formats.md"),
     "pictures": ("docs/scenes.md", "docs/transfer.md", "docs/extending.md", "docs/surfaces.md"),
 }
 _NAMED = {page for group in TOGETHER.values() for page in group}
@@ -66,7 +101,7 @@ TOGETHER["others"] = tuple(name(p) for p in WITH_BLOCKS if name(p) not in _NAMED
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("group", TOGETHER)
+@pytest.mark.parametrize("group", but({"README"}, TOGETHER))
 def test_blocks_run(group, tmp_path):
     """In a process with the defaults of a user: float32, lenient promotion."""
     assert set(TOGETHER[group]) <= {name(page) for page in WITH_BLOCKS}
@@ -90,6 +125,22 @@ WRONG = {
     "toml": "[camera]\neyes = [0, 0, 1]",
     "csv": "theta_i,phi_i,theta_o,f\n0,0,0,1",
 }
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [
+        ("python", "print(1.25"),
+        ("console", "diffopt samples --nothing"),
+        ("console", "diffopt sample"),
+        ("console", "make everything"),
+        ("toml", "[camera"),
+        ("json", "{'file': 1}"),
+    ],
+)
+def test_a_block_that_cannot_be_parsed_is_found(kind, text):
+    with pytest.raises(AssertionError, match=r"README\.md:1: "):
+        parsed(doc_blocks.Block(ROOT / "README.md", kind, text + "\n", 1))
 
 
 @pytest.mark.parametrize("fault", WRONG)

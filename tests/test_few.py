@@ -46,6 +46,7 @@ def test_the_mirror_peak_keeps_every_wavelength(rng):
     assert relative_error(fast(wi, wo), brdf.xyz(wi, wo)) < 1e-3
 
 
+@pytest.mark.long
 def test_mirror_left_out_stays_out(rng):
     brdf = model(mirror="apart")
     wi, wo = directions(rng, 30), directions(rng, 30)

@@ -134,6 +134,7 @@ def test_the_example_file_is_fitted(tmp_path, capsys, few):
         assert json.loads(str(arrays["attributes"]))["units"]["wavelengths"] == "um"
 
 
+@pytest.mark.long
 def test_several_models_are_ranked(tmp_path, capsys, few):
     grating_data().save(tmp_path / "a.npz")
     target = tmp_path / "out"
@@ -172,6 +173,7 @@ def test_a_scan_is_fitted_with_its_tilt_and_holes(tmp_path, capsys):
     assert "sinusoidal, from a scan" in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_a_scan_without_a_grating_is_no_answer(tmp_path, capsys):
     target = tmp_path / "out"
     rng = np.random.default_rng(1)
@@ -273,6 +275,7 @@ def test_interrupted_before_anything_is_found(tmp_path, capsys, monkeypatch):
     assert capsys.readouterr().out == ""
 
 
+@pytest.mark.long
 def test_colours_that_are_clipped_leave_a_note(tmp_path, capsys):
     data = grating_data("xyz")
     linear = np.asarray(do.colour.xyz_to_linear(data.values))

@@ -483,6 +483,7 @@ def ring(tmp_path_factory):
 
 
 @LINUX
+@pytest.mark.long
 def test_kills_of_a_precomputation_and_a_second_process(ring, tmp_path, capsys):
     words = ["precompute", ring, *WORDS, "--compression", "0", "--quiet", "-o"]
     code, _, err, seconds = Child([*words, tmp_path / "whole.zarr"]).ended()
@@ -553,6 +554,7 @@ DISKS = """
 
 
 @LINUX
+@pytest.mark.long
 def test_disks_that_are_full_or_read_only(ring, ball, tmp_path, long):
     """On a disk of a few pages, in name spaces of their own, where that is allowed."""
     at = tmp_path / "disk"

@@ -112,6 +112,7 @@ def test_more_lobes_are_closer():
     assert result.cheapest(0.3).run_s <= min(one.run_s, four.run_s)
 
 
+@pytest.mark.long
 def test_expectation_maximisation_stays_above_least_squares():
     """A thousand steps of the one against ten and a few of the other."""
     result = diffopt.study("lobes.steps").run(quick=True, repeats=1)
@@ -122,6 +123,7 @@ def test_expectation_maximisation_stays_above_least_squares():
     assert result.cheapest(0.06) == after
 
 
+@pytest.mark.long
 def test_more_nodes_are_closer_and_say_so():
     result = diffopt.study("lobes.quadrature").run(quick=True, repeats=1)
     coarse, fine = (result.where(rings=n).rows[0] for n in (8, 32))

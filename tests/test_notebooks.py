@@ -1,5 +1,7 @@
 """Every notebook runs from its first cell to its last, and shows what it says it does.
 
+By day three of them; the others, whose features have tests of their own, by night.
+
 A notebook is kept twice: as text (``.md``, which people edit) and as ``.ipynb`` without
 outputs, made from the text by ``jupytext --to ipynb``.
 """
@@ -14,11 +16,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lengths import but
 from notebook_run import decoded, execute, is_blank, pictures, warnings_shown
 
 FOLDER = Path(__file__).parent.parent / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 SETTING = 'QUICK = os.environ.get("DIFFOPT_NOTEBOOKS") == "quick"'
+
+BY_DAY = {"jit_benchmark", "colours_of_a_scan", "soft_shadows"}
 
 each_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
 
@@ -91,9 +96,9 @@ def test_it_asks_and_ends_with_your_own_data(path):
 
 
 @pytest.mark.slow
-@each_notebook
-def test_notebook_runs(path, tmp_path, monkeypatch):
-    notebook = read(path)
+@pytest.mark.parametrize("name", but(BY_DAY, [p.stem for p in NOTEBOOKS]))
+def test_notebook_runs(name, tmp_path, monkeypatch):
+    notebook = read(FOLDER / f"{name}.ipynb")
     # As a reader runs it: with the defaults of JAX, not with those of this suite. What the
     # environment says of compiled programs and of the compiler stays.
     for name in ("JAX_ENABLE_X64", "MPLBACKEND"):

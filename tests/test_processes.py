@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from killing import content
+from lengths import but
 from test_transfer_store import FILE
 
 from diffopt.cli import main
@@ -88,7 +89,8 @@ def under_slurm(file, path, port):
 
 
 @LINUX
-def test_a_killed_process_ends_the_run_which_goes_on_under_slurm(file, whole, tmp_path, capfd):
+@pytest.mark.parametrize("how", but({"in one process"}, ["in one process", "under slurm"]))
+def test_a_killed_process_ends_the_run_which_goes_on(how, file, whole, tmp_path, capfd):
     path = tmp_path / "ring.zarr"
     run = begun(file, path, "--processes", "2")
     try:
@@ -113,12 +115,17 @@ def test_a_killed_process_ends_the_run_which_goes_on_under_slurm(file, whole, tm
     assert store.state(path) == "begun"
     before = kept(path)
     assert before > 1
-    runs = under_slurm(file, path, free_port())
-    said = [one.communicate(timeout=120) for one in runs]
-    assert [one.returncode for one in runs] == [0, 0], said
-    assert f"goes on from {before} batches" in said[0][0]
-    # Process 0 alone speaks.
-    assert said[1][0] == ""
+    if how == "under slurm":
+        runs = under_slurm(file, path, free_port())
+        said = [one.communicate(timeout=120) for one in runs]
+        assert [one.returncode for one in runs] == [0, 0], said
+        # Process 0 alone speaks.
+        assert said[1][0] == ""
+        told = said[0][0]
+    else:
+        assert main(["precompute", str(file), "-o", str(path), *WORDS]) == 0
+        told = capfd.readouterr().out
+    assert f"goes on from {before} batches" in told
     assert content(path) == content(whole)
     # By the clock of all runs, not of all processes.
     record = store.record_of(path)

@@ -113,6 +113,7 @@ def test_refusals_of_the_command(capsys):
     assert "cornell" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_throughput(monkeypatch):
     monkeypatch.setattr(render_scenes, "TIMED", {"box": render_scenes.TIMED["box"]})
     monkeypatch.setattr(render_throughput, "SIZES", {"small": SIZE})

@@ -101,6 +101,7 @@ def close(paths, other, floor):
     assert (np.abs(block(paths.radiance) - block(other.radiance)) < allowed).all()
 
 
+@pytest.mark.long
 def test_mirrors_and_glass_by_recursion_and_by_paths():
     scene = ball_on_floor(Dielectric(1.5), [POINT], floor=0.0, objects=[lamp(2.0)])
     recursive = rendering.render(scene, CAMERA, "recursive", depth=8, **TOGETHER)
@@ -108,6 +109,7 @@ def test_mirrors_and_glass_by_recursion_and_by_paths():
     close(paths, recursive, 2e-3)
 
 
+@pytest.mark.long
 def test_standard_error_is_the_scatter_between_seeds():
     scene = ball_on_floor(Lambert(np.full(3, 0.6)), [scenes.Environment(0.5)], objects=[lamp()])
     images = [rendering.render(scene, CAMERA, "path", seed=s, **TOGETHER) for s in range(24)]
@@ -168,7 +170,7 @@ def two_metal_balls():
     ("level", "options"),
     [
         pytest.param("incremental", {}, marks=pytest.mark.long),
-        ("recursive", {}),
+        pytest.param("recursive", {}, marks=pytest.mark.long),
         ("path", {"spp": 2, "depth": 2}),
     ],
 )

@@ -185,6 +185,7 @@ def test_gaussian_roughness_refuses_lengths_the_patch_cannot_hold(length):
         samples.gaussian_roughness(jax.random.key(0), shape=(200, 300), correlation_length=length)
 
 
+@pytest.mark.long
 def test_random_bumps_have_the_volume_and_variance_of_their_process():
     """Campbell's theorem: mean density H 2 pi sx sy, variance density H^2 pi sx sy."""
     height, (sy, sx), density = 0.1, (0.4, 0.2), 2.0

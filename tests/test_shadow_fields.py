@@ -57,7 +57,7 @@ def scene_error(name, settings):
     return shadow_scenes.rms(found / right.unshadowed, right)
 
 
-@pytest.mark.parametrize("bands", but([4, 6], [4, 6, 8]))
+@pytest.mark.parametrize("bands", but([4], [4, 6, 8]))
 @pytest.mark.parametrize("name", shadow_scenes.SINGLE)
 def test_irradiance_against_rays(name, bands):
     error = scene_error(name, ShadowSettings(bands=bands))
@@ -77,6 +77,7 @@ def test_the_square_map_errs_more(name):
     assert error > 3.0 * scene_error(name, ShadowSettings(bands=BANDS))
 
 
+@pytest.mark.long
 def test_the_sphere_rule_errs_more():
     """It is right for what lies on the sphere, and for nothing else."""
     error = scene_error("torus tilted", ShadowSettings(bands=BANDS, map="sphere rule"))

@@ -212,6 +212,7 @@ def test_clamping(ball):
     np.testing.assert_allclose(cut, np.clip(found, 0.0, free), rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.long
 def test_a_projected_matte_material_is_irradiance(ball):
     # As many points as where light is clamped, which has the same program.
     points = shadows.plane(3.0, 12, -1.3)

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from lengths import but
 
 from diffopt import InputError, Lobes
 from diffopt.scenes import (
@@ -70,7 +71,9 @@ def smooth(d):
 
 
 @pytest.mark.parametrize("method", ["pyramid", "lobes", "harmonics"])
-@pytest.mark.parametrize("source", ["ambient", "constant", "map", "lobe"])
+@pytest.mark.parametrize(
+    "source", but({"ambient", "constant", "lobe"}, ["ambient", "constant", "map", "lobe"])
+)
 def test_a_constant_stays_what_it_is(source, method, dtype, rng):
     if (source, method) == ("map", "lobes"):
         return
@@ -118,7 +121,10 @@ def sun():
     return image, towards @ light.axes, light, prepare([light], RGB)
 
 
-@pytest.mark.parametrize("kappa", [0.0, 1.0, 2.0, 16.0, 64.0, 256.0, 1024.0])
+KAPPAS = [0.0, 1.0, 2.0, 16.0, 64.0, 256.0, 1024.0]
+
+
+@pytest.mark.parametrize("kappa", but({0.0, 16.0, 1024.0}, KAPPAS))
 def test_a_sun_in_a_map(kappa, sun, rng):
     """On levels the error is that of bilinear look-ups of a sun, of its largest radiance."""
     image, towards, light, pyramid = sun
@@ -200,6 +206,7 @@ def test_suns_against_lobes_that_are_all_but_infinite(rng):
     )
 
 
+@pytest.mark.long
 def test_the_methods_agree_on_a_smooth_sky(rng):
     light = Environment(map_of(smooth, 128, 256))
     mu, kappa = lobes(rng, 500, -1, 3)

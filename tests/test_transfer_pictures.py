@@ -137,6 +137,7 @@ def test_exposure_is_in_stops(relit):
             call(math.nan)
 
 
+@pytest.mark.long
 def test_a_smaller_view_does_not_leave_the_larger_one_behind(relit, held, scene):
     """Arrays keep the size of the largest view: what is beyond the smaller one is not drawn."""
     near = dataclasses.replace(CAMERA, eye=(0.2, -2.0, 1.5))
@@ -169,6 +170,7 @@ def test_layers_add_up(relit):
         transfer.layer(relit.tables, "diffuse")
 
 
+@pytest.mark.long
 def test_one_surface_leaves_direct_light_only(scene):
     """Of paths over one surface the layers of indirect light are dark."""
     found = precompute(scene, dataclasses.replace(SETTINGS, depth=1, splits=0, finest=1))
@@ -178,6 +180,7 @@ def test_one_surface_leaves_direct_light_only(scene):
         assert not np.asarray(lit).any()
 
 
+@pytest.mark.long
 def test_the_background_is_what_path_tracing_sees(relit, scene):
     expected = do.render(scene, CAMERA, "path", spp=64, depth=1)
     past = (expected.object < 0) & (relit.frame().mean(-1) > 0.0)
@@ -207,6 +210,7 @@ def test_backgrounds_of_all_kinds(rng):
     np.testing.assert_allclose(along, there(jnp.asarray(before)), rtol=1e-4)
 
 
+@pytest.mark.long
 def test_lights_near_the_scene_become_distant():
     """Irradiance in the middle of the scene, by closed forms."""
     ring = Object(models.torus(1.0, 0.4, 8, 6), Lambert(0.5))
@@ -331,6 +335,7 @@ def test_figures(held, relit, tmp_path):
         pictures.wireframe(held, CAMERA, shaded[1:])
 
 
+@pytest.mark.long
 def test_a_comparison_against_path_tracing(held, relit, scene):
     relit.samples = 4
     relit.look(CAMERA)

@@ -70,6 +70,7 @@ def arrays(transfer):
     return [*parts, transfer.mesh.vertices, transfer.mesh.faces, transfer.unoccluded]
 
 
+@pytest.mark.long
 def test_the_same_again_with_other_threads(transfer):
     again = precompute(do.Scene(on_a_floor()), QUICK, threads=3)
     for a, b in zip(arrays(transfer), arrays(again), strict=True):
@@ -175,6 +176,7 @@ def test_a_turned_sky_is_a_sky_of_turned_lobes(held, seen):
             np.testing.assert_allclose(got, expected, atol=2e-5 * float(expected.max()))
 
 
+@pytest.mark.long
 def test_three_methods_on_a_smooth_sky(held, seen):
     exact = np.asarray(between.picture(held, prepare([soft()], RGB, "lobes"), seen))
     for method, most in (("pyramid", 0.015), ("harmonics", 1e-3)):
@@ -215,6 +217,7 @@ def test_programs_serve_all_lights_and_cameras(held, raster):
     assert count[0] == first > 0
 
 
+@pytest.mark.long
 def test_slopes_in_the_pixels_of_the_sky(held, seen, rng):
     """The picture is linear in them."""
     base, along = sky(8), rng.normal(size=(8, 16))
@@ -356,6 +359,7 @@ def test_depth_adds_light():
     assert before < 0.8
 
 
+@pytest.mark.long
 def test_translate_moves_nothing_but_places():
     """The same scene elsewhere: the same slices, but for the rounding of places."""
     here, there = (

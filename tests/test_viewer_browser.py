@@ -106,6 +106,7 @@ def test_a_slider_changes_the_picture(running, chromium):
         assert np.abs(after - before).mean() > 1.0
 
 
+@pytest.mark.long
 def test_a_new_table_is_built_while_frames_go_on(running, chromium):
     with viewing(chromium, running) as (page, session):
         before = settled(page, session)
@@ -119,6 +120,7 @@ def test_a_new_table_is_built_while_frames_go_on(running, chromium):
         assert np.abs(settled(page, session) - before).mean() > 1.0
 
 
+@pytest.mark.long
 def test_two_look_at_once_each_at_their_own(running, chromium):
     with (
         viewing(chromium, running) as (one, first),
@@ -139,6 +141,7 @@ def test_two_look_at_once_each_at_their_own(running, chromium):
         assert first._camera.eye != second._camera.eye
 
 
+@pytest.mark.long
 def test_one_that_vanishes_in_the_middle_of_a_frame_leaves_the_others(running, chromium):
     with viewing(chromium, running) as (stays, second):
         settled(stays, second)
@@ -152,6 +155,7 @@ def test_one_that_vanishes_in_the_middle_of_a_frame_leaves_the_others(running, c
         browsing.wait_for(stays, lambda: len(second.log) > count, 10.0, "a frame of the other")
 
 
+@pytest.mark.long
 def test_a_value_that_is_typed_wrongly_is_not_taken(running, chromium):
     with viewing(chromium, running) as (page, session):
         settled(page, session)

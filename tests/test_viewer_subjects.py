@@ -273,20 +273,24 @@ def test_a_tolerance_leaves_out_what_brings_less(relit, tables, eye):
     assert 0.0 < np.abs(both[0] - both[1]).mean() < 40.0
 
 
+def test_exponents_are_replaced(scene):
+    changed = exponents.replaced(scene, 60.0)
+    assert exponents.first(changed) == 60.0
+    assert exponents.first(scene) == 20.0
+    with pytest.raises(InputError, match="no material of the scene has an exponent"):
+        exponents.replaced(do.Scene([do.Object(grid(1.0, 1), LAMBERT(0.5))]), 3.0)
+
+
+@pytest.mark.long
 def test_another_exponent_is_that_of_another_precomputation(scene, eye):
     """Of a plane that sees nothing else, where direct light is all."""
     lights = scene.lights
     flat = do.Scene([do.Object(grid(4.0, 3), GLOSS)], lights)
     sharp = do.Scene([do.Object(grid(4.0, 3), LAMBERT(0.4) + do.BlinnPhong(0.5, 60.0))], lights)
-    changed = exponents.replaced(flat, 60.0)
-    assert exponents.first(changed) == 60.0
-    assert exponents.first(flat) == 20.0
     subject = glossy.Glossy(precompute(flat, QUICK), flat, eye)
     found = subject._sharper(subject._tables, 60.0)
     expected = relighting.tables(precompute(sharp, QUICK))
     np.testing.assert_allclose(found.over.rows, expected.over.rows, rtol=1e-5, atol=1e-6)
-    with pytest.raises(InputError, match="no material of the scene has an exponent"):
-        exponents.replaced(do.Scene([do.Object(grid(1.0, 1), LAMBERT(0.5))]), 3.0)
 
 
 def test_the_ground_is_that_of_diffopt_shadow():
@@ -334,6 +338,7 @@ def test_a_shape_that_stays_is_not_sampled_again():
     assert look.memory["occluder"].fields[0].table is not field.table
 
 
+@pytest.mark.long
 def test_a_scene_is_the_mean_over_its_takes(scene, eye):
     view = dataclasses.replace(eye, resolution=(128, 64))
     subject = Scenery(scene, view, "box")

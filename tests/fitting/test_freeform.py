@@ -117,7 +117,12 @@ class TestRecovery:
     # 2 % of noise leaves 1 to 1.5 nm of the 30 nm at the start, whichever prior and solver; twice
     # the largest is allowed.
     @pytest.mark.parametrize(
-        ("prior", "solver"), [("smooth", "lbfgs"), ("spectrum", "lbfgs"), ("smooth", "cg")]
+        ("prior", "solver"),
+        [
+            ("smooth", "lbfgs"),
+            ("spectrum", "lbfgs"),
+            pytest.param("smooth", "cg", marks=pytest.mark.long),
+        ],
     )
     def test_heights_come_back(self, data, prior, solver):
         fit = fit_heights(data, surface(START), prior=prior, solver=solver)
@@ -174,6 +179,7 @@ class TestRecovery:
         off = (np.asarray(fit.heightfield.heights) - TRUTH)[seen]
         assert np.std(off) < 0.25 * np.std((np.asarray(start.heights) - TRUTH)[seen])
 
+    @pytest.mark.long
     def test_preconditioning_saves_steps(self, data):
         options = {"weight": 1000.0, "max_steps": 60, "tolerance": 1e-9}
         white = fit_heights(data, surface(START), **options)
@@ -209,7 +215,10 @@ class TestLoss:
 
     @pytest.mark.parametrize("average", ["positions", "window"])
     @pytest.mark.parametrize("settings", [DirectSettings(), SeparableSettings(nodes=16)])
-    @pytest.mark.parametrize(("prior", "gain"), [("smooth", "free"), ("spectrum", "known")])
+    @pytest.mark.parametrize(
+        ("prior", "gain"),
+        [("smooth", "free"), pytest.param("spectrum", "known", marks=pytest.mark.long)],
+    )
     def test_gradient_against_differences(self, average, settings, prior, gain):
         start = surface(field(0, RMS, n=12))
         wi, wo = pairs(4)
@@ -404,6 +413,7 @@ class TestRunning:
         assert at[-1] == at[0]
         assert fit.steps > 50
 
+    @pytest.mark.long
     def test_deeper_heights_get_more_nodes(self, monkeypatch):
         """A flat start allows for a quarter wavelength; the surface is deeper."""
         nodes, whole = [], freeform_problem.Problem.residuals

@@ -58,6 +58,7 @@ def test_a_model_that_cannot_be_fitted_is_ranked_last(rng):
         fitting.fit_heightfield(data, "sinusoidal")
 
 
+@pytest.mark.long
 def test_an_interrupted_comparison_returns_the_best_so_far(rng):
     def progress(what, share, loss):
         assert 0.0 <= share < 1.0

@@ -111,6 +111,7 @@ def test_reflectance_fit():
     assert "heights are not finite" in none(lost)
 
 
+@pytest.mark.long
 def test_a_fit_to_simulated_reflectance(rng):
     data = reflectance_cases.simulated(GRATING, rng, disc(11), WAVELENGTHS)
     fit = fitting.fit_reflectance(data, Sinusoidal(2.29, 0.088, 0.0, 0.6))

@@ -108,6 +108,7 @@ def test_curves_end_at_what_is_returned(rng):
     assert len(robust.curves["sinusoidal"]) == steps
 
 
+@pytest.mark.long
 def test_only_what_may_lead_is_fitted_to_all_pixels(rng, monkeypatch):
     """On 2 x 2 averages of 128 x 128 pixels, of which the likelihood takes 64 x 64 here."""
     monkeypatch.setattr(scan_noise, "MOST", 64)
@@ -206,6 +207,7 @@ def test_skewness_tells_bumps(rng):
         assert abs(float(fit.model.get(path)) - float(true.get(path))) < 4.0 * fit.errors[path]
 
 
+@pytest.mark.long
 def test_a_disc_is_measured_along_its_tracks():
     true = CompactDisc(pitch=1.5, depth=-0.15, width=0.35, wall=0.4, angle=-0.2, shift=0.3)
     h = np.asarray(true.heights((128, 128), 0.07, key=jax.random.key(0)))
