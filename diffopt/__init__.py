@@ -12,6 +12,7 @@
 `discs`                run lengths and pits of a compact disc
 `gratings`             parametric surfaces with closed-form spectra
 `diffraction`          the diffraction BRDF of a heightfield, and its reference sum
+`scalar`               what scalar models multiply the transform by
 `statistical`          closed forms for surfaces known by their statistics
 `methods`              the ways to evaluate it
 `gathering`            those that gather from tables of Fourier bins

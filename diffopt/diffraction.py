@@ -26,13 +26,15 @@ from diffopt.fresnel import Constant, Reflectance
 from diffopt.heightfield import Heightfield
 from diffopt.kernels import frames
 from diffopt.kernels import prefactor as prefactors
+from diffopt.scalar import Shadowing as Shadowing
+from diffopt.scalar import geometry as geometry
+from diffopt.scalar import model_factors as model_factors
 from diffopt.settings import DirectSettings, GatherSettings, SeparableSettings, Settings
 
 if TYPE_CHECKING:
     from diffopt.choice import PreparedBRDF
 
 Balance = Literal["radiometric", "peak"]
-Shadowing = Literal["none", "v-cavity"]
 Mirror = Literal["included", "apart"]
 Output = Literal["spectral", "relative", "xyz"]
 
@@ -252,52 +254,6 @@ class DiffractionBRDF(eqx.Module):
             return 0.0
         ratio = min(self.surface.extent) / float(self.surface.sigma)
         return 2.0 * math.erfc(ratio / (2.0 * math.sqrt(2.0)))
-
-
-def geometry(
-    wi: Float[Array, "*batch 3"],
-    wo: Float[Array, "*batch 3"],
-    *,
-    prefactor: prefactors.Prefactor,
-    shadowing: Shadowing,
-) -> Float[Array, "*batch"]:
-    """S C of a scalar model: what depends on directions alone, above the horizon."""
-    wave, cos_i, cos_o = frames.wave_vector(wi, wo), wi[..., 2], wo[..., 2]
-    factor = prefactors.geometric_factor(prefactor, wave, cos_i, cos_o)
-    return factor * frames.v_cavity(wave, cos_i, cos_o) if shadowing == "v-cavity" else factor
-
-
-def model_factors(
-    fresnel: Reflectance,
-    wi: Float[Array, "M 3"],
-    wo: Float[Array, "M 3"],
-    wavelengths: Float[Array, " L"],
-    *,
-    prefactor: prefactors.Prefactor,
-    shadowing: Shadowing,
-    relative: bool,
-) -> Float[Array, "M L"]:
-    """R S C / lambda^2 of a scalar model, or R/R0 S C cos_i if `relative`.
-
-    Parameters
-    ----------
-    fresnel
-        Power reflectance.
-    wi, wo
-        Unit vectors above the horizon.
-    wavelengths
-        Micrometres.
-    prefactor, shadowing
-        As for `DiffractionBRDF`.
-    relative
-        Whether for the relative reflectance.
-    """
-    factor = geometry(wi, wo, prefactor=prefactor, shadowing=shadowing)
-    reflectance = fresnel(frames.half_cosine(frames.wave_vector(wi, wo)), wavelengths)
-    if relative:
-        normal = fresnel.normal(wavelengths)
-        return reflectance / normal[None, :] * (factor * wi[:, 2])[:, None]
-    return reflectance * factor[:, None] / (wavelengths**2)[None, :]
 
 
 def factors(

@@ -9,9 +9,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from diffopt.diffraction import Shadowing, geometry
 from diffopt.kernels import frames, spline
 from diffopt.kernels.prefactor import Prefactor
+from diffopt.scalar import Shadowing, geometry
 
 
 class Table(eqx.Module):

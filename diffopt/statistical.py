@@ -15,10 +15,10 @@ from jaxtyping import Array, Float
 
 from diffopt import checks
 from diffopt.checks import Values
-from diffopt.diffraction import Shadowing, model_factors
 from diffopt.errors import InputError
 from diffopt.fresnel import Constant, Reflectance
 from diffopt.kernels import ensemble, frames, phase
+from diffopt.scalar import Shadowing, model_factors
 
 
 def _length(name: str, value: Values, *, above_zero: bool = True) -> Array:

@@ -13,12 +13,12 @@ from jaxtyping import Array, Float
 
 from diffopt import checks
 from diffopt.checks import Values
-from diffopt.diffraction import Shadowing
 from diffopt.errors import InputError
 from diffopt.io import zarr_files
 from diffopt.io.files import aside, one_line, remove, standing, swap
 from diffopt.kernels import frames, prefactor
 from diffopt.lookup import Table, reflect
+from diffopt.scalar import Shadowing
 
 FORMAT = "diffopt table"
 VERSION = 1

@@ -11,10 +11,10 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from diffopt.diffraction import Shadowing, model_factors
 from diffopt.fresnel import Constant, Reflectance
 from diffopt.gratings.base import Reach, Surface
 from diffopt.kernels import frames
+from diffopt.scalar import Shadowing, model_factors
 
 
 def power(

@@ -10,12 +10,13 @@ from jaxtyping import Array, Float
 
 from diffopt import colour
 from diffopt.choice import PreparedBRDF
-from diffopt.diffraction import DiffractionBRDF, model_factors
+from diffopt.diffraction import DiffractionBRDF
 from diffopt.errors import InputError
 from diffopt.fresnel import Reflectance
 from diffopt.kernels import reflectance, warps
 from diffopt.materials.base import Material, floating
 from diffopt.materials.phong import turned
+from diffopt.scalar import model_factors
 
 
 class _Coherent(Material):

@@ -19,7 +19,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from diffopt import checks
-from diffopt.diffraction import Shadowing
 from diffopt.errors import InputError
 from diffopt.fitting.measured import Measured
 from diffopt.fitting.reflectance import forward
@@ -31,6 +30,7 @@ from diffopt.fitting.reflectance.templates import lattice, templates
 from diffopt.fresnel import Reflectance
 from diffopt.gratings import CompactDisc, Surface
 from diffopt.gratings.parametric import seen_in_power
+from diffopt.scalar import Shadowing
 
 
 def fit_reflectance(

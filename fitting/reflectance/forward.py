@@ -8,11 +8,11 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from diffopt.diffraction import Shadowing, model_factors
 from diffopt.fitting.measured import Measured
 from diffopt.fresnel import Constant, Reflectance
 from diffopt.gratings import Reach, Surface
 from diffopt.kernels import frames
+from diffopt.scalar import Shadowing, model_factors
 
 
 class Job(eqx.Module):

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from diffopt.diffraction import Shadowing
 from diffopt.errors import InputError
 from diffopt.fitting.measured import Measured
 from diffopt.fitting.reflectance import forward, solving
@@ -17,6 +16,7 @@ from diffopt.fitting.reflectance.maps import bounds_for
 from diffopt.fitting.reflectance.settings import FitSettings
 from diffopt.fresnel import Reflectance
 from diffopt.gratings.parametric import kinds
+from diffopt.scalar import Shadowing
 
 # Of the range about a single minimum, standard errors.
 _WIDTH = 6.0
