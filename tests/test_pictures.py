@@ -9,7 +9,7 @@ import PIL.Image
 import pytest
 
 from diffopt import DiffractionBRDF, Heightfield, InputError, colour, samples
-from diffopt.drawing import pictures, shapes, tones, views
+from diffopt.drawing import bands, pictures, shapes, tones, views
 
 INCIDENCE = math.radians(20.0)
 PITCH = 1.6
@@ -188,6 +188,41 @@ def test_pictures_of_objects_show_object_and_ground(disc):
     np.testing.assert_allclose(np.median(hub, axis=0), np.median(hub), atol=5e-3)
     saturation = np.ptp(rgb, axis=-1)
     assert saturation.max() > 0.5, "no rainbow"
+
+
+def test_a_picture_made_in_bands_is_the_whole_one(disc, monkeypatch):
+    size, light = (44, 52), shapes.unit(np.array([-0.3, 0.6, 0.8]))
+    whole = shapes.sheet(size).turned(0.4)
+
+    def part(rows):
+        return shapes.sheet(size, rows=rows).turned(0.4), light, None
+
+    shot, held = bands.Shot(size, part), bands.Shot(size, lambda r: (whole.rows(r), light, None))
+    once = bands.extremes([shot])
+    monkeypatch.setattr(bands, "BAND", 640)
+    parts = bands.bands(size)
+    assert [p.start for p in parts] == [0, 12, 24, 36]
+    assert parts[-1].stop == 44
+    waves = bands.extremes([shot, held])
+    np.testing.assert_array_equal(waves.min(axis=0), once.min(axis=0))
+    np.testing.assert_array_equal(waves.max(axis=0), once.max(axis=0))
+    table = views.bake(disc, waves, size=44)
+    expected = views.photograph(disc, table, whole, light)
+    for one in (shot, held):
+        image = bands.photograph(disc, table, one)
+        # Of the same numbers, rounded to float32.
+        np.testing.assert_allclose(image.xyz, expected.xyz, rtol=1e-7)
+        np.testing.assert_array_equal(image.covered, expected.covered)
+    drawn = pictures.photograph(image, supersampling=2)
+    monkeypatch.undo()
+    np.testing.assert_allclose(drawn, pictures.photograph(expected, supersampling=2), atol=1e-6)
+
+
+def test_pictures_without_light_are_refused(disc):
+    behind = shapes.unit(np.array([0.0, 0.0, -1.0]))
+    shot = bands.Shot((16, 16), lambda rows: (shapes.sphere(16, rows=rows), behind, None))
+    with pytest.raises(InputError, match="no sample of the pictures is lit and seen"):
+        bands.extremes([shot])
 
 
 def test_tone_curve_keeps_hues_and_order(rng):

@@ -213,9 +213,14 @@ def draw_disc(job: "Job", path: Path, report: Any) -> None:
     import numpy as np
 
     from diffopt.cli import diffraction
-    from diffopt.drawing import shapes
+    from diffopt.drawing import bands, shapes
 
-    view = shapes.disc(diffraction.SUPERSAMPLING * job.options.size, eye=CAMERA)
-    light = view.towards(np.array(LAMP))
-    table = diffraction.object_table(job, {"disc": view}, {"disc": light}, report)
-    diffraction.draw_object(job, table, view, light, path, percentile=90.0)
+    size = diffraction.SUPERSAMPLING * job.options.size
+
+    def part(rows: slice) -> bands.Part:
+        view = shapes.disc(size, eye=CAMERA, rows=rows)
+        return view, view.towards(np.array(LAMP)), None
+
+    shot = bands.Shot((size, size), part)
+    table = diffraction.object_table(job, [shot], report)
+    diffraction.draw_object(job, table, shot, path, percentile=90.0)

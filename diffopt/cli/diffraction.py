@@ -1,7 +1,7 @@
 """``diffopt diffraction``: what a scan looks like, in pictures and numbers."""
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from diffopt.cli.options import Appearance, Job, Source
     from diffopt.cli.progress import Stages
-    from diffopt.drawing import shapes, views
+    from diffopt.drawing import bands, views
 
 #: Pictures of every scan, in the order in which they are made; a mesh adds ``mesh.png``.
 PICTURES = ("scan.png", "in_plane.png", "hemisphere.png", "sphere.png", "sheet.png")
@@ -163,31 +163,26 @@ def produce(
 ) -> dict[str, Any]:
     """Compute and draw everything into a folder; gives the summary of ``result.json``."""
     from diffopt.cli import results
-    from diffopt.drawing import pictures, shapes, views
+    from diffopt.drawing import pictures, views
 
     options, light = job.options, job.illuminant
     samples = SUPERSAMPLING * options.size
-    # On the sheet the dominant period runs along the bend, so that its orders lie one above
-    # the other.
-    turn = 0.0 if job.grating is None else job.grating[1]
-    objects = {"sphere": shapes.sphere(samples), "sheet": shapes.sheet(samples).turned(turn)}
-    lights = {name: shapes.unit(_array(_LIGHTS[name])) for name in objects}
-    shot = None
+    objects = _closed_shapes(samples, 0.0 if job.grating is None else job.grating[1])
+    seen = None
     if subject is not None:
         with stages.stage("mesh"):
-            shot = subject.shoot(samples)
-        objects["mesh"], lights["mesh"] = shot.view, subject.light
+            seen = subject.shoot(samples)
+        objects["mesh"] = seen.shot()
     with stages.stage("in-plane spectra"):
         cut = spectra(job)
     with stages.stage("hemisphere") as report:
         wi = views.incident(job.incidence, job.azimuth)
         dome = views.hemisphere(job.brdf, wi, size=options.size, illuminant=light, progress=report)
     with stages.stage("table for objects") as report:
-        table = object_table(job, objects, lights, report)
+        table = object_table(job, objects.values(), report)
     with stages.stage("objects"):
-        for name, view in objects.items():
-            lit = shot.lit if shot is not None and name == "mesh" else None
-            draw_object(job, table, view, lights[name], folder / f"{name}.png", lit=lit)
+        for name, shot in objects.items():
+            draw_object(job, table, shot, folder / f"{name}.png")
     with stages.stage("figures"):
         pictures.save(pictures.scan(job.scan, job.statistics), folder / "scan.png")
         figure = pictures.in_plane(cut, period=job.period_in_plane, illuminant=light)
@@ -196,10 +191,27 @@ def produce(
         pictures.save(figure, folder / "hemisphere.png")
         results.write_arrays(folder / "result.npz", job, cut, dome)
     content = results.summary(job, cut, stages)
-    if shot is not None:
-        content["mesh"] = shot.summary()
-        content["notes"] += shot.notes()
+    if seen is not None:
+        content["mesh"] = seen.summary()
+        content["notes"] += seen.notes()
     return content
+
+
+def _closed_shapes(samples: int, turn: float) -> "dict[str, bands.Shot]":
+    """Sphere and sheet under their lights, of so many samples on a side."""
+    from diffopt.drawing import bands, shapes
+
+    lights = {name: shapes.unit(_array(value)) for name, value in _LIGHTS.items()}
+
+    def sphere(rows: slice) -> "bands.Part":
+        return shapes.sphere(samples, rows=rows), lights["sphere"], None
+
+    def sheet(rows: slice) -> "bands.Part":
+        # The dominant period runs along the bend, so that its orders lie one above the other.
+        return shapes.sheet(samples, rows=rows).turned(turn), lights["sheet"], None
+
+    shape = (samples, samples)
+    return {"sphere": bands.Shot(shape, sphere), "sheet": bands.Shot(shape, sheet)}
 
 
 def spectra(job: "Job") -> "views.InPlane":
@@ -243,19 +255,13 @@ def spectra(job: "Job") -> "views.InPlane":
         return compute(eqx.combine(wide, rest))
 
 
-def object_table(job: "Job", objects: dict[str, "shapes.View"], lights: dict, report: Any) -> Any:
+def object_table(job: "Job", shots: "Iterable[bands.Shot]", report: Any) -> Any:
     """One colour table for several objects under their lights."""
-    import numpy as np
+    from diffopt.drawing import bands, views
 
-    from diffopt.drawing import views
-
-    waves = []
-    for name, view in objects.items():
-        _, wi, wo = views.wave_vectors(view, lights[name])
-        waves.append(-(wi + wo))
     return views.bake(
         job.brdf,
-        np.concatenate(waves),
+        bands.extremes(shots),
         size=job.options.size,
         illuminant=job.illuminant,
         progress=report,
@@ -263,19 +269,12 @@ def object_table(job: "Job", objects: dict[str, "shapes.View"], lights: dict, re
 
 
 def draw_object(
-    job: "Job",
-    table: Any,
-    view: "shapes.View",
-    light: "np.ndarray",
-    path: Path,
-    *,
-    percentile: float = 96.0,
-    lit: "np.ndarray | None" = None,
+    job: "Job", table: Any, shot: "bands.Shot", path: Path, *, percentile: float = 96.0
 ) -> None:
-    """Light one object, or the samples `lit` of it, and write its picture."""
-    from diffopt.drawing import pictures, views
+    """Light one object and write its picture."""
+    from diffopt.drawing import bands, pictures
 
-    image = views.photograph(job.brdf, table, view, light, lit=lit, illuminant=job.illuminant)
+    image = bands.photograph(job.brdf, table, shot, illuminant=job.illuminant)
     rgb = pictures.photograph(
         image, supersampling=SUPERSAMPLING, percentile=percentile, illuminant=job.illuminant
     )

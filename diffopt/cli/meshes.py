@@ -12,7 +12,7 @@ from diffopt.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from diffopt.drawing import meshes, shapes
+    from diffopt.drawing import bands, meshes, shapes
 
 File = Annotated[
     str | None, typer.Option(help="Mesh to lay the scan on: ply, obj, stl, off, glb or gltf.")
@@ -96,6 +96,14 @@ class Shot:
     subject: Subject
     view: "shapes.View"
     lit: "np.ndarray"
+
+    def shot(self) -> "bands.Shot":
+        """For a picture."""
+        from diffopt.drawing import bands
+
+        return bands.Shot(
+            self.lit.shape, lambda rows: (self.view.rows(rows), self.subject.light, self.lit[rows])
+        )
 
     def notes(self) -> list[str]:
         """What was assumed, and what the picture lacks."""

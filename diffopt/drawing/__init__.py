@@ -4,6 +4,7 @@
 `shapes`            closed shapes under a camera
 `meshes`            triangle meshes under a camera and a light
 `views`             what the pictures show, as numbers
+`bands`             that of large pictures, rows by rows
 `lobes`             pictures of one material: lobes, map, ball, albedo, swatch
 `lobe_fits`         targets, fitted lobes and residuals
 `surface_fits`      scans, fitted heights and residuals; loss curves

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from diffopt import colour, fresnel
-from diffopt.drawing import pictures, shapes, tones, views
+from diffopt.drawing import bands, pictures, shapes, tones, views
 from diffopt.materials.base import Material, Sample
 from diffopt.materials.interfaces import Dielectric
 from diffopt.materials.naming import Subject
@@ -218,16 +218,25 @@ def sphere(subject: Subject, report: Properties, *, size: int = 512) -> Float[np
     Glass is a massive ball; light that is reflected inside it is left out. Rough glass is
     seen as a surface alone.
     """
-    view = shapes.sphere(SUPERSAMPLING * size)
-    if subject.material.delta:
-        return _under_sky(subject, report, view, size)
+    shape = (SUPERSAMPLING * size, SUPERSAMPLING * size)
+
+    def lit(rows: slice) -> views.Image:
+        return _lit(subject, report, shapes.sphere(shape, rows=rows))
+
+    if not subject.material.delta:
+        image = bands.gathered(shape, lit)
+        return pictures.photograph(image, supersampling=SUPERSAMPLING)
+    parts = (shapes.sphere(shape, rows=rows) for rows in bands.bands(shape))
+    return np.concatenate([_under_sky(subject, report, part) for part in parts])
+
+
+def _lit(subject: Subject, report: Properties, view: shapes.View) -> views.Image:
     light = shapes.unit(np.array(_LIGHT))
     wi, wo = view.local(light), view.local(view.eye)
     lit = view.covered & (wi[..., 2] > 0.0) & (wo[..., 2] > 1e-3)
     xyz = np.zeros((*view.covered.shape, 3))
     xyz[lit] = radiance(subject, wi[lit], wo[lit]) * wi[lit][:, 2:]
-    image = views.Image(xyz, _relative_albedo(subject, report, view), view.covered, view.neutral)
-    return pictures.photograph(image, supersampling=SUPERSAMPLING)
+    return views.Image(xyz, _relative_albedo(subject, report, view), view.covered, view.neutral)
 
 
 _CHANNELS = ("red", "green", "blue")
@@ -363,7 +372,7 @@ def _relative_albedo(subject: Subject, report: Properties, view: shapes.View) ->
     return np.where(view.covered[..., None], found, 0.0)
 
 
-def _under_sky(subject: Subject, report: Properties, view: shapes.View, size: int) -> np.ndarray:
+def _under_sky(subject: Subject, report: Properties, view: shapes.View) -> np.ndarray:
     """A mirror or a massive ball of glass under the sky, the ground and a lamp."""
     normal, eye = view.normal, view.eye
     cos = np.clip((normal * eye).sum(-1, keepdims=True), 1e-6, 1.0)
@@ -385,7 +394,8 @@ def _under_sky(subject: Subject, report: Properties, view: shapes.View, size: in
     rgb = np.where(view.covered[..., None], rgb, pictures.BACKGROUND)
     rgb = tones.tone(rgb.reshape(-1, 3), 2.0).reshape(rgb.shape)
     step = SUPERSAMPLING
-    return tones.encode(rgb.reshape(size, step, size, step, 3).mean(axis=(1, 3)))
+    h, w = (count // step for count in view.covered.shape)
+    return tones.encode(rgb.reshape(h, step, w, step, 3).mean(axis=(1, 3)))
 
 
 def _sky(rays: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:

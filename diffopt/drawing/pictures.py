@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from diffopt import colour
-from diffopt.drawing import tones, views
+from diffopt.drawing import bands, tones, views
 from diffopt.heightfield import Heightfield
 from diffopt.statistics import SurfaceStatistics
 
@@ -53,14 +53,31 @@ def photograph(
     illuminant
         The light of the image.
     """
-    lit = image.covered & (image.xyz[..., 1] > 0.0)
-    factor = tones.exposure(tones.display(image.xyz[lit], illuminant), percentile)
+    parts = bands.bands(image.covered.shape)
+    # What counts for the exposure is the brightest channel, of which all are kept.
+    brightest = np.concatenate(
+        [
+            tones.display(image.xyz[rows][_lit(image, rows)], illuminant).max(-1, keepdims=True)
+            for rows in parts
+        ]
+    )
+    factor = tones.exposure(brightest, percentile)
     white = colour.white_point(illuminant, colour.wavelengths(tones.STEP_NM))
-    ambient = SURROUNDINGS / factor * white * image.albedo
-    rgb = tones.tone(tones.display(image.xyz + ambient, illuminant), factor)
-    rgb = np.where((image.covered | image.neutral)[..., None], rgb, BACKGROUND)
     h, w = (n // supersampling for n in image.covered.shape)
-    return tones.encode(rgb.reshape(h, supersampling, w, supersampling, 3).mean(axis=(1, 3)))
+    found = np.zeros((h, w, 3))
+    for rows in parts:
+        ambient = SURROUNDINGS / factor * white * image.albedo[rows]
+        rgb = tones.tone(tones.display(image.xyz[rows] + ambient, illuminant), factor)
+        shown = (image.covered | image.neutral)[rows]
+        rgb = np.where(shown[..., None], rgb, BACKGROUND)
+        low, high = rows.start // supersampling, rows.stop // supersampling
+        samples = rgb.reshape(high - low, supersampling, w, supersampling, 3)
+        found[low:high] = samples.mean(axis=(1, 3))
+    return tones.encode(found)
+
+
+def _lit(image: views.Image, rows: slice) -> Bool[np.ndarray, "h w"]:
+    return image.covered[rows] & (image.xyz[rows, :, 1] > 0.0)
 
 
 def scan(heightfield: Heightfield, statistics: SurfaceStatistics) -> "Figure":

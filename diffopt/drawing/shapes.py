@@ -56,6 +56,11 @@ class View:
         """Unit vectors from the surface to a point, [h, w, 3]."""
         return unit(np.asarray(point, np.float64) - self.position)
 
+    def rows(self, part: slice) -> "View":
+        """Some rows of the picture."""
+        fields = ("position", "tangent", "normal", "eye", "covered", "neutral")
+        return View(*(getattr(self, name)[part] for name in fields))
+
     def turned(self, angle: float) -> "View":
         """The same with the material turned about the normal.
 
@@ -72,7 +77,7 @@ def unit(vectors: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def sphere(size: Size, *, margin: float = 0.04) -> View:
+def sphere(size: Size, *, margin: float = 0.04, rows: slice | None = None) -> View:
     """Unit sphere seen along -z by an orthographic camera.
 
     The tangent runs along the parallels about the vertical axis; there is no tangent at the
@@ -84,8 +89,10 @@ def sphere(size: Size, *, margin: float = 0.04) -> View:
         Samples on a side, or (rows, columns): the object then fits the shorter side.
     margin
         Empty border, as a share of the radius.
+    rows
+        Of the picture; all of them if left out.
     """
-    x, y = _screen(size, 1.0 + margin)
+    x, y = _screen(size, 1.0 + margin, rows)
     r2 = x * x + y * y
     z = np.sqrt(np.maximum(1.0 - r2, 0.0))
     normal = np.stack([x, y, z], axis=-1)
@@ -103,6 +110,7 @@ def sheet(
     bend_deg: float = 100.0,
     width: float = 1.0,
     eye: tuple[float, float, float] = (1.2, 1.9, 3.5),
+    rows: slice | None = None,
 ) -> View:
     """Sheet of unit radius bent about the horizontal x axis, seen by a near camera.
 
@@ -119,13 +127,15 @@ def sheet(
         Half the length along the axis, in radii.
     eye
         Camera position; it looks at the middle of the sheet.
+    rows
+        Of the picture; all of them if left out.
     """
     if not 0.0 < bend_deg <= 180.0:
         raise InputError(f"bend_deg={bend_deg:g}: expected degrees above 0, at most 180")
     # The middle of the arc looks half way up, so that the camera and a light above share it.
     middle = np.radians(60.0)
     target = np.array([0.0, np.sin(middle) - 0.28, np.cos(middle) - 0.16])
-    origin, rays = camera(size, np.array(eye), target, half_width=1.28 * width)
+    origin, rays = camera(size, np.array(eye), target, half_width=1.28 * width, rows=rows)
     # Nearest crossing of origin + t ray with y^2 + z^2 = 1.
     a = (rays[..., 1:] ** 2).sum(-1)
     b = (rays[..., 1:] * origin[1:]).sum(-1)
@@ -149,6 +159,7 @@ def disc(
     *,
     eye: tuple[float, float, float] = (0.0, -190.0, 260.0),
     recorded: tuple[float, float] = RECORDED_RADII,
+    rows: slice | None = None,
 ) -> View:
     """Compact disc in the plane z = 0, in mm, seen by a near camera.
 
@@ -163,11 +174,13 @@ def disc(
         Camera position, above the plane; it looks at the hole.
     recorded
         Inner and outer radius of the recorded area.
+    rows
+        Of the picture; all of them if left out.
     """
     if not eye[2] > 0.0:
         raise InputError(f"eye={eye}: expected a camera above the disc, z > 0")
     origin, rays = camera(
-        size, np.array(eye), np.array([0.0, -3.0, 0.0]), half_width=1.08 * DISC_RADIUS
+        size, np.array(eye), np.array([0.0, -3.0, 0.0]), half_width=1.08 * DISC_RADIUS, rows=rows
     )
     down = np.minimum(rays[..., 2], -1e-9)
     position = origin - (origin[2] / down)[..., None] * rays
@@ -211,6 +224,7 @@ def camera(
     *,
     half_width: float,
     up: tuple[float, float, float] = (0.0, 1.0, 0.0),
+    rows: slice | None = None,
 ) -> tuple[Float[np.ndarray, "3"], Vectors]:
     """Pinhole camera: its position and the unit rays through the samples.
 
@@ -224,21 +238,25 @@ def camera(
         Half the shorter side of the picture at the target.
     up
         Direction that is upright in the picture.
+    rows
+        Of the picture; all of them if left out.
 
     Raises
     ------
     InputError
         See `axes`.
     """
-    x, y = _screen(size, half_width)
+    x, y = _screen(size, half_width, rows)
     right, above, back = axes(eye, target, np.array(up))
     distance = float(np.linalg.norm(eye - target))
     rays = x[..., None] * right + y[..., None] * above - distance * back
     return eye.astype(np.float64), unit(rays)
 
 
-def _screen(size: Size, half: float) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
-    """Coordinates x (to the right) and y (up) of the samples' centres."""
+def _screen(
+    size: Size, half: float, part: slice | None
+) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
+    """Coordinates x (to the right) and y (up) of the samples' centres in some rows, or in all."""
     rows, columns = (size, size) if isinstance(size, int) else size
     shorter = min(rows, columns)
     if shorter < 2:
@@ -247,7 +265,7 @@ def _screen(size: Size, half: float) -> tuple[Float[np.ndarray, "h w"], Float[np
         ((np.arange(count) + 0.5) / count * 2.0 - 1.0) * (half * count / shorter)
         for count in (columns, rows)
     )
-    x, y = np.meshgrid(across, -down)
+    x, y = np.meshgrid(across, -down if part is None else -down[part])
     return x, y
 
 

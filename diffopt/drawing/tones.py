@@ -37,14 +37,14 @@ def display(
 
 
 def exposure(
-    rgb: Float[np.ndarray, "*batch 3"], percentile: float = 97.0, least: float = 1e-3
+    rgb: Float[np.ndarray, "*batch C"], percentile: float = 97.0, least: float = 1e-3
 ) -> float:
     """Factor that brings a percentile of the brightest channel to 1.
 
     Parameters
     ----------
     rgb
-        Linear values of everything that counts.
+        Linear values of everything that counts, or of its brightest channel alone.
     percentile
         Share of it, in percent, that stays below 1.
     least
