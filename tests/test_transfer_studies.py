@@ -25,7 +25,7 @@ from diffopt.accuracy.transfer_runs import Reference, Setup
 from diffopt.cli import main
 from diffopt.errors import InputError
 from diffopt.kernels.langevin import langevin
-from diffopt.transfer import path_sampling, precomputation, relighting
+from diffopt.transfer import beginning, path_sampling, relighting
 from diffopt.transfer.lighting import prepare
 from diffopt.transfer.settings import TransferSettings
 from diffopt.transfer.tracing import Frames
@@ -122,7 +122,7 @@ def test_the_truth_agrees_with_path_tracing():
 def test_paths_of_their_own_on_a_plane():
     """Nothing hidden: the integral is the albedo, the lobe that of the material's moments."""
     material = do.BlinnPhong(0.8, 32.0)
-    around = precomputation.surroundings(plane(material))
+    around = beginning.surroundings(plane(material))
     sampler = path_sampling.PathSampler(around, 0, "reflectance")
     at = Frames(np.zeros((1, 3)), np.eye(3)[None])
     wo = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8]])
@@ -142,7 +142,7 @@ def test_paths_of_their_own_on_a_plane():
 def test_lobes_in_place_of_the_reflectance_keep_the_energy():
     """From steep to grazing: what the lobes have below the horizon is little."""
     material = do.BlinnPhong(0.8, 32.0)
-    around = precomputation.surroundings(plane(material))
+    around = beginning.surroundings(plane(material))
     sampler = path_sampling.PathSampler(around, 0)
     at = Frames(np.zeros((1, 3)), np.eye(3)[None])
     height = np.array([1.0, 0.6, 0.3, 0.05])
@@ -153,6 +153,7 @@ def test_lobes_in_place_of_the_reflectance_keep_the_energy():
     np.testing.assert_allclose(alpha, whole[:, 0], rtol=0.01)
 
 
+@pytest.mark.long
 def test_estimators_agree_within_their_errors():
     """All of them on slices of the ring; the errors of paths fall with their number."""
     problem = Problem("ring", 3, 0, 4096)
@@ -175,10 +176,10 @@ def test_estimators_agree_within_their_errors():
 
 
 def test_matte_reflectors_have_no_glossy_paths():
-    around = precomputation.surroundings(plane(do.materials.Lambert(0.5)))
+    around = beginning.surroundings(plane(do.materials.Lambert(0.5)))
     with pytest.raises(InputError, match=r"reflector 0 must have a glossy rest"):
         path_sampling.PathSampler(around, 0)
-    around = precomputation.surroundings(plane(do.BlinnPhong(0.5, 8.0)))
+    around = beginning.surroundings(plane(do.BlinnPhong(0.5, 8.0)))
     with pytest.raises(InputError, match=r"weights must be one of lobes, reflectance.*'fits'"):
         path_sampling.PathSampler(around, 0, "fits")
     at = Frames(np.zeros((1, 3)), np.eye(3)[None])
@@ -203,6 +204,7 @@ def test_more_vertices_err_less():
     assert "core-ms a vertex; noise of truth" in rows[0].note
 
 
+@pytest.mark.long
 def test_more_views_take_more_slices():
     rows = studies.study("transfer.levels").run(quick=True).rows
     slices = [int(row.note.split(", ")[1].split(" ")[0].replace(",", "")) for row in rows]
