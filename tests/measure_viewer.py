@@ -14,8 +14,8 @@ import browsing
 import jax
 
 from diffopt import samples
+from diffopt.viewer.screen import PIXELS, VERTICES
 from diffopt.viewer.server import Server
-from diffopt.viewer.session import PIXELS, VERTICES
 
 # The panel covers 388 pixels: the picture beside it has 1280 x 720.
 WINDOW = (1668, 720)

@@ -11,7 +11,8 @@ from diffopt.scenes.camera import Camera
 from diffopt.viewer import controls, session
 from diffopt.viewer.building import Builder, Failure
 from diffopt.viewer.controls import Menu, Slider, Steps, Toggle
-from diffopt.viewer.session import PIXELS, VERTICES, GoneError, Session, valid_camera
+from diffopt.viewer.screen import PIXELS, VERTICES, GoneError, valid_camera
+from diffopt.viewer.session import Session
 from diffopt.viewer.subject import Coloured, Meshed, Place, Row, StaleError, Subject
 
 CAMERA = Camera((0.0, -4.0, 0.0), resolution=(120, 80))

@@ -3,6 +3,7 @@
 ================  ==========================================================
 `server`          the page, on this machine alone by default (extra ``view``)
 `session`         one browser: coarse frames in motion, fine ones at rest
+`screen`          what a session knows of the viewer
 `building`        tables and programs made in the background
 `subject`         what can be looked at: the interface
 `diffracting`     a diffracting surface on a sheet, a ball (`surfaces`) or a mesh

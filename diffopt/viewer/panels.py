@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from diffopt.viewer import painting
-from diffopt.viewer.session import PIXELS, Times
+from diffopt.viewer.screen import PIXELS, Times
 from diffopt.viewer.subject import Row
 
 _CELL = "padding:2px 6px;vertical-align:top;border-bottom:1px solid rgba(128,128,128,0.35)"

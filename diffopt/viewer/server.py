@@ -13,7 +13,8 @@ from diffopt.errors import InputError, missing
 from diffopt.viewer import gltf, panels
 from diffopt.viewer.building import Builder
 from diffopt.viewer.controls import Control, Menu, Slider, Steps, Toggle
-from diffopt.viewer.session import GoneError, Session, Times, valid_camera
+from diffopt.viewer.screen import GoneError, Times, valid_camera
+from diffopt.viewer.session import Session
 from diffopt.viewer.subject import Coloured, Row, Subject
 
 # A browser that takes longer than this for a frame is taken to be gone, seconds.
@@ -144,7 +145,7 @@ class _Page:
             self._client.add_notification("Not taken", text, auto_close_seconds=8.0, color="red")
 
     def show(self, pixels: np.ndarray) -> None:
-        """See `diffopt.viewer.session.Screen`."""
+        """See `diffopt.viewer.screen.Screen`."""
         with self._alive(), self._client.atomic():
             if self._mesh is not None:
                 self._mesh.visible = False
@@ -152,7 +153,7 @@ class _Page:
         self._arrived()
 
     def colour(self, found: Coloured | None) -> None:
-        """See `diffopt.viewer.session.Screen`."""
+        """See `diffopt.viewer.screen.Screen`."""
         with self._alive(), self._client.atomic():
             if found is not None:
                 self._send(gltf.encode(found))
@@ -169,7 +170,7 @@ class _Page:
             self._mesh.glb_data = data
 
     def tell(self, rows: list[Row], times: Times | None, status: str) -> None:
-        """See `diffopt.viewer.session.Screen`."""
+        """See `diffopt.viewer.screen.Screen`."""
         with self._alive():
             self._status.content = panels.status(times, status)
             self._table.content = panels.table(rows)
