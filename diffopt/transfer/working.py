@@ -9,6 +9,7 @@ import contextlib
 import dataclasses
 import hashlib
 import json
+import math
 import os
 import re
 import threading
@@ -68,10 +69,12 @@ def _add(digest: Any, array: Any) -> None:
     digest.update(values.tobytes())
 
 
-def differences(there: dict[str, Any], here: dict[str, Any]) -> str:
-    """How one identity differs from another, in words; empty if it does not."""
+def differences(there: Any, here: dict[str, Any]) -> str:
+    """How an identity that was read differs from one made here, in words; empty if it does not."""
+    there = there if isinstance(there, dict) else {}
     out = [f"other {name}" for name in ("shapes", "materials") if there.get(name) != here[name]]
-    old, new = there.get("settings") or {}, here["settings"]
+    old, new = there.get("settings"), here["settings"]
+    old = old if isinstance(old, dict) else {}
     for name in sorted({*old, *new}):
         if old.get(name) != new.get(name):
             out.append(f"{name} {old.get(name)} there, {new.get(name)} here")
@@ -97,12 +100,12 @@ def _remove(folder: Path) -> None:
 
 
 def _recorded(folder: Path) -> dict[str, Any] | None:
-    """The identity that batches belong to."""
+    """The identity that batches belong to; None if there is none, or it is damaged."""
     try:
         found = json.loads((folder / "record.json").read_text())
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return None
-    return found if isinstance(found, dict) else None
+    return found if isinstance(found, dict) and isinstance(found.get("settings"), dict) else None
 
 
 class Working:
@@ -203,7 +206,7 @@ class Working:
             return None
         except Exception:  # a damaged archive fails in many ways
             return None
-        if not self._sound(batch):
+        if not self._sound(batch) or not math.isfinite(clock + cpu):
             return None
         with self._guard:
             before = self._earlier.get(session, (0.0, 0.0))
@@ -262,7 +265,12 @@ class Working:
             file.write(json.dumps(self.identity, indent=2).encode())
 
     def _sound(self, batch: Vertices) -> bool:
-        """Whether shapes are what they must be."""
+        """Whether kinds and shapes are what they must be."""
+        # Of a member that is no array NumPy gives the bytes.
+        numbers = (batch.error, *batch.views, *batch.diffuse)
+        for kind, arrays in (("i", (batch.level,)), ("f", numbers)):
+            if not all(isinstance(a, np.ndarray) and a.dtype.kind == kind for a in arrays):
+                return False
         counts = np.array((*hemisphere(self.settings.finest).counts, 0))
         level = batch.level
         if level.ndim != 1 or level.min(initial=0) < -1 or level.max(initial=0) >= len(counts) - 1:
