@@ -23,7 +23,7 @@ from diffopt.transfer.settings import TransferSettings
 from diffopt.viewer import controls, exponents, glossy, gltf, painting, panels, surfaces
 from diffopt.viewer.diffracting import Diffracting
 from diffopt.viewer.scenery import Scenery
-from diffopt.viewer.session import PIXELS, Times
+from diffopt.viewer.screen import PIXELS, Times
 from diffopt.viewer.shadowed import Shadowed
 from diffopt.viewer.subject import Coloured, Look, Meshed, Row, StaleError, Subject
 
