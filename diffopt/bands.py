@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
+from diffopt.errors import InputError
 from diffopt.illuminants import (
     IlluminantLike,
     Wavelengths,
@@ -53,18 +54,18 @@ def three_band(
 
     Raises
     ------
-    ValueError
+    InputError
         If `samples` is below 1, or the illuminant leaves a band empty.
     """
     if samples < 1:
-        raise ValueError(f"samples: {samples} given, expected at least 1")
+        raise InputError(f"samples: {samples} given, expected at least 1")
     lam = wavelengths() if wavelengths_um is None else np.asarray(wavelengths_um, np.float64)
     cones = bradford()
     response = spectral_weights(lam, illuminant) @ cones.T
     total = response.sum(axis=0)
     # The cones' small negative parts can outweigh the rest for a light in a narrow band.
     if (total <= 0.05 * np.abs(response).sum(axis=0)).any():
-        raise ValueError(
+        raise InputError(
             f"illuminant {_illuminant(illuminant).name!r}: too little light in one of the three "
             "bands, use the full rule"
         )

@@ -189,7 +189,7 @@ class Conductor(Reflectance):
 
     Raises
     ------
-    ValueError
+    InputError
         For a table out of order or out of range. Wavelengths outside the table raise when
         they are known while tracing, and as an error of the compiled program otherwise.
     """
@@ -201,7 +201,7 @@ class Conductor(Reflectance):
     def __check_init__(self) -> None:
         """Check the table, where it is known."""
         if self.wavelengths.shape[0] < 2:
-            raise ValueError(
+            raise InputError(
                 f"wavelengths: a table of {self.wavelengths.shape[0]} given, expected at least 2"
             )
         _check("wavelengths", self.wavelengths, lambda v: np.diff(v) > 0, "an ascending table")
@@ -225,7 +225,7 @@ class Conductor(Reflectance):
                 wavelengths, outside, "wavelengths: outside the table of the conductor"
             )
         elif not (asked.min() >= known[0] * (1 - slack) and asked.max() <= known[-1] * (1 + slack)):
-            raise ValueError(
+            raise InputError(
                 f"wavelengths: {asked.min():g} to {asked.max():g} um given, the table of the "
                 f"conductor has {known[0]:g} to {known[-1]:g} um"
             )
@@ -389,4 +389,4 @@ def _check(name: str, x: Array, holds: Callable[[np.ndarray], Any], expected: st
     if values is not None and not np.all(holds(values)):
         low, high = values.min(), values.max()
         shown = f"{low:g}" if values.size == 1 else f"{low:g} to {high:g}"
-        raise ValueError(f"{name}: {shown} given, expected {expected}")
+        raise InputError(f"{name}: {shown} given, expected {expected}")

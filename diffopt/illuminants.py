@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Array, Float
 
+from diffopt.errors import InputError
 from diffopt.kernels import spectrum
 
 #: Named in the error for an unknown name; colour-science has some fifty more.
@@ -46,13 +47,13 @@ class Illuminant:
         """Check lengths, order and sign."""
         n, m = len(self.wavelengths), len(self.power)
         if n != m or n < 2:
-            raise ValueError(
+            raise InputError(
                 f"illuminant {self.name!r}: {n} wavelengths and {m} powers given, "
                 "expected the same number, at least 2"
             )
         ascending(np.array(self.wavelengths), f"illuminant {self.name!r}: wavelengths")
         if not (np.isfinite(self.power).all() and min(self.power) >= 0 and max(self.power) > 0):
-            raise ValueError(
+            raise InputError(
                 f"illuminant {self.name!r}: powers between {min(self.power):g} and "
                 f"{max(self.power):g} given, expected finite, none below 0, some above 0"
             )
@@ -64,7 +65,7 @@ class Illuminant:
 
         Raises
         ------
-        ValueError
+        InputError
             Outside the table.
         """
         table = np.array(self.wavelengths)
@@ -86,7 +87,7 @@ def illuminant(which: IlluminantLike) -> Illuminant:
 
     Raises
     ------
-    ValueError
+    InputError
         For an unknown name or an unusable spectrum.
     """
     if isinstance(which, Illuminant):
@@ -108,12 +109,12 @@ def wavelengths(step_nm: float = 5.0) -> Float[np.ndarray, " L"]:
 
     Raises
     ------
-    ValueError
+    InputError
         If the step does not divide the range.
     """
     count = round(400.0 / step_nm) if step_nm > 0 else 0
     if count < 1 or abs(count * step_nm - 400.0) > 1e-9 * 400.0:
-        raise ValueError(f"step_nm: {step_nm:g} given, expected a divisor of 400 (nanometres)")
+        raise InputError(f"step_nm: {step_nm:g} given, expected a divisor of 400 (nanometres)")
     return (380.0 + step_nm * np.arange(count + 1)) / 1000.0
 
 
@@ -141,7 +142,7 @@ def spectral_weights(
 
     Raises
     ------
-    ValueError
+    InputError
         For wavelengths out of order or outside the tables.
     """
     lam = np.asarray(wavelengths_um, np.float64)
@@ -194,7 +195,7 @@ def _observer() -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N 3"]]:
 def _named_illuminant(name: str) -> Illuminant:
     known = colour_science().SDS_ILLUMINANTS
     if name not in known:
-        raise ValueError(
+        raise InputError(
             f"illuminant: {name!r} given, expected one of {', '.join(COMMON)} or another of the "
             f"{len(known)} names known to colour-science"
         )
@@ -211,21 +212,21 @@ def _weights(wavelengths_um: tuple[float, ...], light: Illuminant) -> Table:
     matched = np.stack([np.interp(lam, grid, column) for column in matching.T], axis=1)
     weights = (np.asarray(spectrum.trapezoid_weights(lam)) * light.at(lam))[:, None] * matched
     if not weights[:, 1].sum() > 0.0:
-        raise ValueError(f"illuminant {light.name!r}: no visible light at the given wavelengths")
+        raise InputError(f"illuminant {light.name!r}: no visible light at the given wavelengths")
     return weights / weights[:, 1].sum()
 
 
 def ascending(values: np.ndarray, name: str) -> None:
-    """Refuse (ValueError) wavelengths that are not one ascending sequence."""
+    """Refuse (InputError) wavelengths that are not one ascending sequence."""
     if values.ndim != 1 or not (np.diff(values) > 0).all():
-        raise ValueError(f"{name}: expected one ascending sequence in micrometres")
+        raise InputError(f"{name}: expected one ascending sequence in micrometres")
 
 
 def inside(values: np.ndarray, table: np.ndarray, name: str) -> None:
-    """Refuse (ValueError) wavelengths, in micrometres, beyond the ends of an ascending table."""
+    """Refuse (InputError) wavelengths, in micrometres, beyond the ends of an ascending table."""
     slack = 1e-6  # micrometres: 0.78 may come in float32
     if not (values.min() >= table[0] - slack and values.max() <= table[-1] + slack):
-        raise ValueError(
+        raise InputError(
             f"{name}: wavelengths {values.min():g} to {values.max():g} um given, the table has "
             f"{table[0]:g} to {table[-1]:g} um"
         )

@@ -22,6 +22,8 @@ BY_DAY = {
     "diffraction.spectral": (0, 5),
     "diffraction.xyz": (0, 3),
     "lobes": (26, 2),
+    "plan": (2, 1),
+    "shadows": (0, 3),
 }
 
 

@@ -29,6 +29,8 @@ NAMES: dict[str, str] = {
     "diffraction.spectral": "diffopt.accuracy.diffraction_promises:SPECTRAL",
     "diffraction.xyz": "diffopt.accuracy.diffraction_promises:XYZ",
     "lobes": "diffopt.fitting.lobe_promises:LOBES",
+    "plan": "diffopt.accuracy.plan_promises:PLAN",
+    "transfer.compression": "diffopt.accuracy.transfer_promises:COMPRESSION",
     "shadows": "diffopt.accuracy.shadow_promises:SHADOWS",
 }
 

@@ -18,6 +18,9 @@ from diffopt.errors import InputError
 from diffopt.shadows import ShadowSettings, choosing, truth
 
 KINDS = ("egg", "torus", "capsule", "box", "plate", "knobbly", "spiky", "cross")
+#: From the lowest point of an object close to the plane to the plane, in radii of the object.
+#: Where they touch, sampled directions do not resolve what receivers beside the contact see.
+GAPS = (0.1, 0.5)
 # Receivers on a side of the square, its side, and polar directions of the truth.
 _SIDE, _EXTENT, _POLAR = 16, 8.0, 40
 #: How far the truth may be off: half the difference of 40 from 80 polar directions, at most.
@@ -96,7 +99,9 @@ def scene(rng: np.random.Generator) -> Scene:
         size = 1.0 if count == 1 else rng.uniform(0.4, 1.0)
         vertices = size * vertices
         lowest = -vertices[:, 2].min()
-        height = lowest + rng.uniform(0.0, 0.4) if inside else size * rng.uniform(1.08, 2.5)
+        height = size * rng.uniform(1.08, 2.5)
+        if inside:
+            height = lowest + size * rng.uniform(*GAPS)
         around = 2.0 * np.pi * (k / count + rng.uniform(0, 0.1))
         far = 0.0 if count == 1 else rng.uniform(0.3, 1.3)
         place = [far * np.cos(around), far * np.sin(around), height]
