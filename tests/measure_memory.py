@@ -59,8 +59,8 @@ COMMANDS = (
     Command("fit lobes sky.npy -o out/sky", "fit lobes wide.npy -o out/wide", "pixels"),
     Command(
         "fit lobes gold -o out/lobes",
-        "fit lobes gold --angle 0,10,20,30,40,50,60,70,75,80,85 -o out/lobes",
-        "angles",
+        "fit lobes gold --angle 0,10,20,30,40,50,60,70,80 -o out/lobes",
+        "angles: nine",
     ),
     Command("fit heightfield grating.csv --model binary -o out/grating"),
     Command("scene check cornell.toml"),

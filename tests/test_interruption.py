@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import errno
 import functools
+import io
 import json
 import os
 import shutil
@@ -430,6 +431,25 @@ def test_pictures_killed_at_any_operation(ball, tmp_path, monkeypatch, always):
     assert 8 < number < 59
 
 
+UNFIT = (
+    ("depth", lambda a: a[:-1]),
+    ("depth", lambda a: a[0]),
+    ("radiance", lambda a: a[:, :2]),
+    ("normal", lambda a: a.astype("U8")),
+    ("object", lambda a: np.concatenate([a, a])),
+)
+
+
+def misshapen(data, name, make):
+    """A file with one array changed, whose checksums and head fit."""
+    with np.load(io.BytesIO(data)) as file:
+        arrays = dict(file)
+    arrays[name] = make(arrays[name])
+    out = io.BytesIO()
+    np.savez(out, **arrays)
+    return out.getvalue()
+
+
 def test_tiles_of_another_picture_or_damaged_ones_are_not_taken(
     ball, tmp_path, monkeypatch, always, capsys
 ):
@@ -456,7 +476,8 @@ def test_tiles_of_another_picture_or_damaged_ones_are_not_taken(
     ball.write_text(PICTURE)
     changed = bytearray(data)
     changed[len(data) // 2] ^= 1
-    for bad in (data[: len(data) // 2], bytes(changed), b""):
+    unfit = [misshapen(data, name, make) for name, make in UNFIT]
+    for bad in (data[: len(data) // 2], bytes(changed), b"", *unfit):
         data = bad
         assert "goes on" not in printed()
         assert target.read_bytes() == whole

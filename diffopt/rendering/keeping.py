@@ -76,9 +76,13 @@ class Kept:
                 found = {name: file[name] for name in _ARRAYS}
                 layers = {name: file[f"layer {name}"] for name in head["layers"]}
                 seconds = float(head["seconds"])
+            count = len(found["depth"])
+            pairs = [(values, getattr(image, name)) for name, values in found.items()]
+            pairs += [(values, image.radiance) for values in layers.values()]
+            if not all(_fits(values, _flat(whole), count) for values, whole in pairs):
+                return
         except Exception:  # there is none, or it is damaged, which shows in many ways
             return
-        count = len(found["depth"])
         for name, values in found.items():
             _flat(getattr(image, name))[:count] = values
         for name, values in layers.items():
@@ -102,6 +106,12 @@ class Kept:
             np.savez(file, head=np.asarray(json.dumps(head)), **arrays)
         ended = time.monotonic()
         self._next = ended + max(EVERY, (ended - began) / _SHARE)
+
+
+def _fits(values: np.ndarray, whole: np.ndarray, count: int) -> bool:
+    """Whether they are the first rows of such an array."""
+    rows = whole[:count]
+    return (values.dtype, values.shape) == (rows.dtype, rows.shape) and len(rows) == count
 
 
 def _flat(array: np.ndarray) -> np.ndarray:
