@@ -146,7 +146,13 @@ class Scattered(LobeSampled):
         slope = jnp.linalg.solve(scatter + size * jnp.eye(x.shape[0], dtype=x.dtype), mean)
         part = weight * (1.0 - (off * slope[None]).sum(-1))
         plane = (part.reshape((-1,) + (1,) * (values.ndim - 1)) * values).sum(0)
-        return jnp.clip(plane, values.min(0), values.max(0))
+        # The ends by place: the slope of a minimum is 0 / 0 where the compiler computes the values
+        # twice and rounds them in two ways.
+        low, high = (
+            jnp.take_along_axis(values, place[None], 0)[0]
+            for place in (values.argmin(0), values.argmax(0))
+        )
+        return jnp.clip(plane, low, high)
 
 
 def load_table(
